@@ -1,0 +1,185 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * airy.h - libairy, the C client of airyd. This header is its manual.
+ *
+ * A connection (struct airy) is used by one thread at a time; several connections may be used by
+ * several threads. Requests are pipelined: submit as many as the credits allow, wait for any or for one.
+ *
+ *     struct airy *a;
+ *     struct airy_error e;
+ *     if (airy_connect(&a, NULL, &e) < 0) ...                        // socket of the system or the user
+ *     struct airy_request r = AIRY_REQUEST_INIT;
+ *     r.input_fd = open("in.exr", O_RDONLY);
+ *     airy_request_param(&r, "threshold", "1.5", &e);
+ *     uint64_t id;
+ *     if (airy_submit(a, &r, &id, &e) < 0) ...
+ *     struct airy_result *res;
+ *     if (airy_wait(a, id, -1, &res, &e) < 0) ...                    // e.symbol "EXR_DAMAGED" ...
+ *     write(out, res->data, res->size);
+ *     airy_result_free(res);
+ *
+ * Functions return 0 (or as stated) on success and -1 on failure with *e filled; e may be NULL.
+ */
+#ifndef AIRY_H
+#define AIRY_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define AIRY_VERSION "0.1.0"
+
+struct airy;
+struct airy_result_private;
+
+struct airy_error {
+    int code;            /* PROTOCOL.md's table (100..599) from the daemon; -errno from this side */
+    char symbol[32];     /* "PARAM_RANGE"; "LOCAL" from this side */
+    char field[64];      /* what it is about; may be empty */
+    char text[384];      /* one sentence for people */
+    bool retryable;
+    uint32_t retry_after_ms;
+};
+
+/* ---- connection ------------------------------------------------------------------------------ */
+
+/* path NULL: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock: the
+ * first that answers. Blocks for at most 5 s. */
+int airy_connect(struct airy **out, const char *path, struct airy_error *e);
+/* Takes over a connected stream socket. */
+int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
+void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
+
+struct airy_limits {
+    uint64_t max_frame_bytes, max_pixels, credit_bytes;
+    uint32_t max_width, max_height, max_requests;
+};
+const char *airy_server(const struct airy *a);  /* "airyd/0.1.0" */
+const char *airy_device(const struct airy *a);  /* Vulkan's name of the device */
+const struct airy_limits *airy_limits(const struct airy *a);
+
+/* For an event loop: poll airy_fd() for airy_events() (POLLIN, POLLOUT), then call airy_pump(), then
+ * airy_ready() or airy_wait(..., 0, ...). airy_pump: 0, or -1 when the connection is lost. */
+int airy_fd(const struct airy *a);
+short airy_events(const struct airy *a);
+int airy_pump(struct airy *a, struct airy_error *e);
+
+/* ---- requests ---------------------------------------------------------------------------------- */
+
+enum airy_pixel { AIRY_HALF = 1, AIRY_FLOAT = 2 };
+
+struct airy_channel {     /* of a raw picture; planar and interleaved pictures are lists of these */
+    const char *name;     /* "R" "G" "B", or "Y" alone; others are copied unchanged */
+    uint64_t offset;      /* byte of pixel (0,0) in the payload */
+    uint64_t row_stride;  /* bytes */
+    uint32_t pixel_stride; /* bytes */
+};
+
+enum { AIRY_CHANNELS_MAX = 8, AIRY_PARAMS_MAX = 64 };
+
+struct airy_param { char name[32]; char value[512]; };
+
+struct airy_request {
+    /* Input: exactly one of data (sent inline, copied nowhere; it must stay until the submit's
+     * request ended) and input_fd (memfd sealed with F_SEAL_SHRINK, or a regular file; stays the
+     * caller's, may be closed after airy_submit). size 0 with a descriptor: all from offset on. */
+    const void *data;
+    int input_fd;
+    uint64_t offset, size;
+
+    /* An EXR file, unless width > 0: then raw pixels. */
+    const char *part, *layer, *view;     /* NULL: the beauty of every colour part */
+    const char *pixels, *compression;    /* NULL: keep */
+    uint32_t width, height;
+    enum airy_pixel type;
+    struct airy_channel channels[AIRY_CHANNELS_MAX];
+    unsigned n_channels;
+
+    /* Output: a memfd made by the daemon (default), inline, or the caller's own memfd (raw only). */
+    bool inline_output;
+    int output_fd;                       /* -1: none; sealed with F_SEAL_SHRINK, writable */
+    uint64_t output_offset, output_size;
+
+    struct airy_param params[AIRY_PARAMS_MAX];
+    unsigned n_params;
+    void (*progress)(void *ctx, uint64_t id, const char *stage, double fraction);
+    void *progress_ctx;
+};
+#define AIRY_REQUEST_INIT { .input_fd = -1, .output_fd = -1 }
+
+/* Adds a parameter; the daemon validates it. Fails when full or too long. */
+int airy_request_param(struct airy_request *r, const char *name, const char *value,
+                       struct airy_error *e);
+/* An anonymous shared-memory file of `size` bytes, sealed against shrinking and growing: the
+ * fastest way in and out. Returns the descriptor (the caller's) and its mapping in *map, or -1. */
+int airy_memfd(uint64_t size, void **map, struct airy_error *e);
+
+/* Sends a request; *id is what to wait for. Blocks while the connection has no credit (until earlier
+ * requests end). */
+int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e);
+/* Asks to stop: the request then ends with symbol "CANCELLED", or as it would have. */
+int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e);
+
+/* ---- results ----------------------------------------------------------------------------------- */
+
+struct airy_target {
+    const char *name, *plan, *rule;
+    int32_t min_x, min_y;
+    uint32_t width, height, levels, tiles, tiles_bright;
+    bool untouched;
+    double error_bound, max_bright;
+    double energy_input, energy_bright, energy_bloomed, energy_lost;
+    uint64_t nan, positive_inf, negative_inf, negative, saturated;
+    bool any_nonfinite;
+    int32_t first_x, first_y;
+    const char *first_channel;
+};
+
+struct airy_times { double queue, load, decode, bloom, encode, total; }; /* ms */
+
+struct airy_result {
+    uint64_t id;
+    const void *data;    /* the output, mapped or received; NULL when output_fd was given */
+    uint64_t size;
+    int fd;              /* the output's memfd, owned by the result; -1 when inline */
+    const struct airy_target *targets;
+    unsigned n_targets;
+    struct airy_times ms;
+    const char *device;
+    uint32_t chunks, chunks_copied;
+    const char *const *notes;
+    unsigned n_notes;
+    double exposure;
+    struct airy_result_private *priv;
+};
+
+/* Waits for one request (or any, id 0: its id is in result->id or *failed_id by airy_wait_any).
+ * timeout_ms -1: for ever, 0: only look. 1: done, *out is the caller's to free; 0: time-out; -1: the
+ * request failed (or the connection), *e says how. */
+int airy_wait(struct airy *a, uint64_t id, int timeout_ms, struct airy_result **out,
+              struct airy_error *e);
+/* The same for whichever request ends first; *id tells which (also on -1; 0: the connection). */
+int airy_wait_any(struct airy *a, int timeout_ms, uint64_t *id, struct airy_result **out,
+                  struct airy_error *e);
+void airy_result_free(struct airy_result *r); /* NULL is fine */
+
+/* ---- status ------------------------------------------------------------------------------------ */
+
+struct airy_status {
+    char server[64], device[256], device_kind[8], driver[256];
+    double uptime_s;
+    uint32_t clients, queued, running;
+    uint64_t done, failed, cancelled, pixels, bytes_in, bytes_out, rss_bytes;
+    struct airy_times mean_ms;
+    bool draining;
+};
+int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct airy_error *e);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
