@@ -75,7 +75,8 @@ unsigned exr_target_count(const struct exr *x);
 struct exr_target *exr_target(struct exr *x, unsigned i);
 
 /* in: planes of the target's size and type, zero beyond the width; out: same geometry, read by the
- * encode tasks. out->type may be FLOAT where in is HALF (saturation is then counted here). */
+ * encode tasks. out->type may be FLOAT where in is HALF (saturation is then counted here). Both stay
+ * as they are from the bloom to the last encode task: luminance-chroma compares them. */
 void exr_bind(struct exr *x, unsigned target, const struct planes *in, const struct planes *out);
 
 unsigned exr_decode_tasks(const struct exr *x);

@@ -21,6 +21,8 @@ enum pixel_type { PIXEL_TYPE_UINT = 0, PIXEL_TYPE_HALF = 1, PIXEL_TYPE_FLOAT = 2
 
 static inline unsigned pixel_bytes(enum pixel_type t) { return t == PIXEL_TYPE_HALF ? 2 : 4; }
 
+enum { PLANES_PHASES_MAX = 4 };
+
 struct planes {
     uint32_t width, height;
     unsigned count;          /* 1 or 3 */
@@ -28,12 +30,12 @@ struct planes {
     uint8_t *base[3];
     size_t pitch_bytes;      /* from a row to the next of the same phase */
     unsigned phases;         /* rows y with the same y % phases lie together; 1 = plain */
-    size_t phase_stride_bytes;
+    ptrdiff_t phase_offset[PLANES_PHASES_MAX]; /* of a phase's first row, from base */
 };
 
 static inline uint8_t *planes_row(const struct planes *p, unsigned c, uint32_t y)
 {
-    return p->base[c] + (y % p->phases) * p->phase_stride_bytes + (y / p->phases) * p->pitch_bytes;
+    return p->base[c] + p->phase_offset[y % p->phases] + (y / p->phases) * p->pitch_bytes;
 }
 
 /* A plain heap copy of planes: zeroed, pitch a multiple of 64 bytes. 0 or -ENOMEM / -EOVERFLOW. */

@@ -1,0 +1,386 @@
+// SPDX-License-Identifier: Apache-2.0
+/*
+ * exr_select.c - which channels are bloomed: part, layer and view to targets.
+ *
+ * A layer is a prefix of channel names ("diffuse" -> diffuse.R, diffuse.G, diffuse.B). In a part with a
+ * multiView attribute the view is the last component but one ("right.R", "diffuse.right.R"), and names
+ * without any prefix are of the first view. In other parts the attribute `view` names the whole part's.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "exr_internal.h"
+
+static bool given(const char *word) { return word && *word; }
+
+// ---- text for faults ------------------------------------------------------------------------------------
+
+struct list {
+    char text[200];
+    size_t used;
+    bool full;
+};
+
+static bool list_has(const struct list *l, const char *word, size_t n)
+{
+    for (const char *p = l->text; p && *p; p = strstr(p, ", "), p = p ? p + 2 : NULL)
+        if (!strncmp(p, word, n) && (!p[n] || p[n] == ','))
+            return true;
+    return false;
+}
+
+static void list_add(struct list *l, const char *word, size_t n)
+{
+    if (l->full || !n || list_has(l, word, n))
+        return;
+    if (l->used + n + 8 > sizeof(l->text)) {
+        l->full = true;
+        memcpy(l->text + l->used, ", ...", 6);
+        return;
+    }
+    l->used += (size_t)snprintf(l->text + l->used, sizeof(l->text) - l->used, "%s%.*s",
+                                l->used ? ", " : "", (int)n, word);
+}
+
+// ---- luminance weights ------------------------------------------------------------------------------------
+
+// The Y row of the RGB -> XYZ matrix, normalised: solve S.P = W for the primaries' scales S.
+static bool luma_of(const float c[8], float luma[3])
+{
+    const double rx = (double)c[0], ry = (double)c[1], gx = (double)c[2], gy = (double)c[3];
+    const double bx = (double)c[4], by = (double)c[5], wx = (double)c[6], wy = (double)c[7];
+    const double rz = 1 - rx - ry, gz = 1 - gx - gy, bz = 1 - bx - by;
+    if (!(fabs(wy) > 1e-9))
+        return false;
+    const double X = wx / wy, Z = (1 - wx - wy) / wy;
+    const double det = rx * (gy * bz - by * gz) - gx * (ry * bz - by * rz) + bx * (ry * gz - gy * rz);
+    if (!(fabs(det) > 1e-12))
+        return false;
+    const double sr = (X * (gy * bz - by * gz) - gx * (bz - by * Z) + bx * (gz - gy * Z)) / det;
+    const double sg = (rx * (bz - by * Z) - X * (ry * bz - by * rz) + bx * (ry * Z - rz)) / det;
+    const double sb = (rx * (gy * Z - gz) - gx * (ry * Z - rz) + X * (ry * gz - gy * rz)) / det;
+    const double y[3] = { sr * ry, sg * gy, sb * by }, sum = y[0] + y[1] + y[2];
+    if (!(sum > 1e-9))
+        return false;
+    for (int i = 0; i < 3; i++) {
+        luma[i] = (float)(y[i] / sum);
+        if (!isfinite(luma[i]) || fabsf(luma[i]) > 16)
+            return false;
+    }
+    return true;
+}
+
+static void set_luma(struct exr *x, const struct exr_part *p, struct exr_target *t)
+{
+    static const float rec709[8] = { 0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f };
+    luma_of(rec709, t->luma);
+    float luma[3];
+    if (!p->has_chromaticities)
+        return;
+    if (luma_of(p->chromaticities, luma))
+        memcpy(t->luma, luma, sizeof(luma));
+    else
+        exr_add_note(x, "part %u: chromaticities make no colour space; Rec.709 luminance is used", p->index);
+}
+
+// ---- one layer of one part --------------------------------------------------------------------------------
+
+struct pick {
+    struct exr *x;
+    const struct exr_select *want;
+    bool explicit;    // a part or a layer was asked for by name
+    struct fault why; // why something that looked right was passed over
+    bool partial;     // why is about missing channels
+};
+
+static struct exr_channel *channel_find(const struct exr_part *p, const char *prefix, const char *name)
+{
+    const size_t n = strlen(prefix);
+    for (unsigned i = 0; i < p->channels; i++)
+        if (!strncmp(p->channel[i].name, prefix, n) && !strcmp(p->channel[i].name + n, name))
+            return &p->channel[i];
+    return NULL;
+}
+
+static int refuse(struct pick *k, const struct exr_part *p, const char *channel, const char *what)
+{
+    char title[96];
+    if (!k->why.code || k->partial)
+        fault_set(&k->why, FAULT_EXR_UNSUPPORTED, "input", "channel '%.64s' of %s %s", channel,
+                  exr_part_title(p, title), what);
+    k->partial = false;
+    return k->explicit ? -1 : 0;
+}
+
+static struct exr_state *target_new(struct pick *k, struct exr_part *p, const char *name)
+{
+    struct exr *x = k->x;
+    if (x->targets == EXR_TARGETS_MAX) {
+        fault_set(&k->why, FAULT_EXR_TOO_LARGE, "input",
+                  "more than %d layers would be bloomed: choose some by part, layer or view",
+                  EXR_TARGETS_MAX);
+        return NULL;
+    }
+    struct exr_state *t = &x->target[x->targets];
+    *t = (struct exr_state){ .pub = { .part = p->index, .min_x = p->min_x, .min_y = p->min_y,
+                                      .width = p->width, .height = p->height,
+                                      .pixel_aspect = p->pixel_aspect } };
+    snprintf(t->pub.name, sizeof(t->pub.name), "%s", name);
+    set_luma(x, p, &t->pub);
+    return t;
+}
+
+// The targets take these channels; 1: done, 0: passed over, -1: fault.
+static int take(struct pick *k, struct exr_part *p, struct exr_channel *c[3], unsigned n, bool chroma,
+                const char *name)
+{
+    bool half = !chroma;
+    for (unsigned i = 0; i < n; i++) {
+        if (c[i]->target >= 0)
+            return 1;
+        if (c[i]->type == PIXEL_TYPE_UINT)
+            return refuse(k, p, c[i]->name, "is UINT: only HALF and FLOAT can be bloomed");
+        const int32_t s = chroma && i ? c[1]->x_sampling : 1;
+        if (c[i]->x_sampling != s || c[i]->y_sampling != s || s > 2)
+            return refuse(k, p, c[i]->name, "is subsampled in a way that no colour layer is");
+        half = half && c[i]->type == PIXEL_TYPE_HALF;
+    }
+    if (p->storage >= EXR_DEEP_SCANLINE)
+        return refuse(k, p, c[0]->name, "is deep data, which cannot be bloomed yet");
+    struct exr_state *t = target_new(k, p, name);
+    if (!t)
+        return -1;
+    t->luma_chroma = chroma;
+    t->chroma_sampling = chroma ? (uint8_t)c[1]->x_sampling : 1;
+    t->pub.channels = n;
+    t->pub.type = half ? PIXEL_TYPE_HALF : PIXEL_TYPE_FLOAT;
+    if (chroma && fabsf(t->pub.luma[1]) < 1e-4f)
+        return refuse(k, p, c[0]->name, "cannot be made R, G, B: its chromaticities give green no luminance");
+    if (n == 1) {
+        t->pub.luma[0] = 1;
+        t->pub.luma[1] = t->pub.luma[2] = 0;
+    }
+    for (unsigned i = 0; i < n; i++) {
+        c[i]->target = (int)k->x->targets;
+        c[i]->plane = i;
+    }
+    k->x->targets++;
+    p->targets++;
+    return 1;
+}
+
+// R, G, B under the prefix, else Y with or without its chroma.
+static int take_prefix(struct pick *k, struct exr_part *p, const char *prefix, const char *name)
+{
+    static const char *const words[][3] = { { "R", "G", "B" }, { "r", "g", "b" },
+                                            { "red", "green", "blue" } };
+    struct exr_channel *c[3];
+    char title[96];
+    for (unsigned s = 0; s < 3; s++) {
+        unsigned found = 0, missing = 0;
+        for (unsigned i = 0; i < 3; i++) {
+            c[i] = channel_find(p, prefix, words[s][i]);
+            found += c[i] != NULL;
+            missing = c[i] ? missing : i;
+        }
+        if (found == 3)
+            return take(k, p, c, 3, false, name);
+        if (found && !k->why.code) {
+            fault_set(&k->why, FAULT_NO_LAYER, "layer", "layer '%.64s' of %s has no channel %s: %s, %s "
+                      "and %s are needed", *prefix ? prefix : "(unprefixed)", exr_part_title(p, title),
+                      words[s][missing], words[s][0], words[s][1], words[s][2]);
+            k->partial = true;
+        }
+    }
+    c[0] = channel_find(p, prefix, "Y");
+    c[1] = channel_find(p, prefix, "RY");
+    c[2] = channel_find(p, prefix, "BY");
+    if (!c[0])
+        return 0;
+    const bool chroma = c[1] && c[2];
+    return take(k, p, c, chroma ? 3 : 1, chroma, name);
+}
+
+// ---- one part -----------------------------------------------------------------------------------------------
+
+static void title_of(const struct pick *k, const struct exr_part *p, const char *view, size_t view_bytes,
+                     char *out, size_t size)
+{
+    const bool layer = given(k->want->layer);
+    int n = 0;
+    out[0] = 0;
+    if (k->x->parts > 1)
+        n = snprintf(out, size, "part %u (%.*s)", p->index,
+                     (int)(view_bytes ? view_bytes : p->name_bytes), view_bytes ? view : p->name);
+    else if (view_bytes)
+        n = snprintf(out, size, "%.*s", (int)view_bytes, view);
+    if (n < 0 || (size_t)n >= size)
+        return;
+    if (layer)
+        snprintf(out + n, size - (size_t)n, "%s%s", n ? " " : "", k->want->layer);
+    else if (!n)
+        snprintf(out, size, "beauty");
+}
+
+static bool next_view(const uint8_t **at, const uint8_t *end, const char **view, uint32_t *n)
+{
+    if (end - *at < 4)
+        return false;
+    *n = exr_u32(*at);
+    if (*n > (size_t)(end - *at) - 4)
+        return false;
+    *view = (const char *)*at + 4;
+    *at += 4 + *n;
+    return true;
+}
+
+static bool same(const char *word, const char *bytes, uint32_t n)
+{
+    return strlen(word) == n && !memcmp(word, bytes, n);
+}
+
+enum { PREFIX_BYTES = 600 };
+
+static int pick_views(struct pick *k, struct exr_part *p)
+{
+    const uint8_t *at = p->multi_view, *end = at + p->multi_view_bytes;
+    const char *view, *layer = given(k->want->layer) ? k->want->layer : "";
+    uint32_t n;
+    char prefix[PREFIX_BYTES], name[256];
+    int taken = 0;
+    for (unsigned i = 0; next_view(&at, end, &view, &n); i++) {
+        if ((given(k->want->view) && !same(k->want->view, view, n)) || !n || n > 255)
+            continue;
+        if (*layer)
+            snprintf(prefix, sizeof(prefix), "%.255s.%.*s.", layer, (int)n, view);
+        else if (i)
+            snprintf(prefix, sizeof(prefix), "%.*s.", (int)n, view);
+        else
+            prefix[0] = 0;
+        title_of(k, p, view, n, name, sizeof(name));
+        int one = take_prefix(k, p, prefix, name);
+        if (one < 0)
+            return -1;
+        taken |= one;
+    }
+    if (*layer && !taken && !given(k->want->view)) { // a layer that is of no view
+        snprintf(prefix, sizeof(prefix), "%.255s.", layer);
+        title_of(k, p, "", 0, name, sizeof(name));
+        return take_prefix(k, p, prefix, name);
+    }
+    return taken;
+}
+
+static int pick_part(struct pick *k, struct exr_part *p)
+{
+    if (p->multi_view)
+        return pick_views(k, p);
+    if (given(k->want->view) && !(p->view && same(k->want->view, p->view, p->view_bytes)))
+        return 0;
+    char prefix[PREFIX_BYTES] = "", name[256];
+    if (given(k->want->layer))
+        snprintf(prefix, sizeof(prefix), "%.255s.", k->want->layer);
+    title_of(k, p, p->view, p->view_bytes, name, sizeof(name));
+    return take_prefix(k, p, prefix, name);
+}
+
+// ---- the whole file ---------------------------------------------------------------------------------------
+
+static bool part_matches(const struct exr *x, const struct exr_part *p, const char *word)
+{
+    if (p->name && same(word, p->name, p->name_bytes))
+        return true;
+    for (unsigned i = 0; i < x->parts; i++) // names go before numbers
+        if (x->part[i].name && same(word, x->part[i].name, x->part[i].name_bytes))
+            return false;
+    char number[16];
+    snprintf(number, sizeof(number), "%u", p->index);
+    return !strcmp(word, number);
+}
+
+static int no_part(const struct exr *x, const char *word, struct fault *f)
+{
+    struct list l = { .text = "" };
+    for (unsigned i = 0; i < x->parts; i++)
+        list_add(&l, x->part[i].name ? x->part[i].name : "(no name)",
+                 x->part[i].name ? x->part[i].name_bytes : 9);
+    return fault_set(f, FAULT_NO_PART, "part", "part '%.40s' asked for; the file has %u part%s: %s", word,
+                     x->parts, x->parts == 1 ? "" : "s", l.text);
+}
+
+// Whether the view that was asked for is anywhere; lists those that are.
+static bool view_known(const struct exr *x, const char *word, struct list *l)
+{
+    bool known = false;
+    for (unsigned i = 0; i < x->parts; i++) {
+        const struct exr_part *p = &x->part[i];
+        const uint8_t *at = p->multi_view, *end = at ? at + p->multi_view_bytes : NULL;
+        const char *view;
+        uint32_t n;
+        while (at && next_view(&at, end, &view, &n)) {
+            list_add(l, view, n);
+            known |= same(word, view, n);
+        }
+        if (p->view && !p->multi_view) {
+            list_add(l, p->view, p->view_bytes);
+            known |= same(word, p->view, p->view_bytes);
+        }
+    }
+    return known;
+}
+
+static void list_layers(const struct exr *x, const char *part, struct list *l)
+{
+    for (unsigned i = 0; i < x->parts; i++) {
+        if (given(part) && !part_matches(x, &x->part[i], part))
+            continue;
+        for (unsigned c = 0; c < x->part[i].channels; c++) {
+            const char *name = x->part[i].channel[c].name, *dot = strrchr(name, '.');
+            list_add(l, name, dot ? (size_t)(dot - name) : strlen(name));
+        }
+    }
+}
+
+static int nothing(const struct pick *k, struct fault *f)
+{
+    const struct exr_select *s = k->want;
+    if (k->why.code && (!k->partial || k->explicit)) {
+        if (f)
+            *f = k->why;
+        return -1;
+    }
+    struct list l = { .text = "" };
+    if (given(s->view) && !view_known(k->x, s->view, &l))
+        return fault_set(f, FAULT_NO_VIEW, "view", "view '%.40s' asked for; the file has %s%s", s->view,
+                         l.used ? "views: " : "no views", l.text);
+    list_layers(k->x, s->part, &l);
+    if (given(s->layer))
+        return fault_set(f, FAULT_NO_LAYER, "layer", "layer '%.40s' asked for; the file has: %s", s->layer,
+                         l.text);
+    return fault_set(f, FAULT_NO_LAYER, "layer",
+                     "no unprefixed R, G, B or Y to bloom; layers and channels of the file: %s", l.text);
+}
+
+int exr_select_targets(struct exr *x, const struct exr_select *s, struct fault *f)
+{
+    struct pick k = { .x = x, .want = s, .explicit = given(s->part) || given(s->layer) };
+    bool matched = false;
+    x->target = calloc(EXR_TARGETS_MAX, sizeof(*x->target));
+    if (!x->target)
+        return fault_set(f, FAULT_NO_MEMORY, "", "no memory for the targets");
+    for (unsigned i = 0; i < x->parts; i++) {
+        if (given(s->part) && !part_matches(x, &x->part[i], s->part))
+            continue;
+        matched = true;
+        if (pick_part(&k, &x->part[i]) < 0) {
+            if (f)
+                *f = k.why;
+            return -1;
+        }
+    }
+    if (!matched)
+        return no_part(x, s->part, f);
+    return x->targets ? 0 : nothing(&k, f);
+}
