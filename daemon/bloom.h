@@ -22,6 +22,10 @@ struct bloom_options {
     const char *device;  /* NULL or "": best; "cpu", "gpu", an index, or part of a name */
     unsigned slots;      /* frames that can be in the pipeline at once, 1..8 */
     bool validate;       /* Vulkan validation with synchronisation validation; any message is counted */
+    bool warm_all;       /* draw with every pipeline at start, not only with those of common requests: some
+                            20 s when the driver has none of them in its cache, 2 s when it has */
+    bool profile;        /* log the time of each pass (METHODS' stages) of every frame */
+    bool staged;         /* copy through staging buffers even where the device needs none (for tests) */
     void (*log)(const char *line); /* may be NULL */
 };
 
@@ -37,6 +41,8 @@ int bloom_create(struct bloom **out, const struct bloom_options *options, struct
 void bloom_destroy(struct bloom *b);
 const struct bloom_device_info *bloom_device(const struct bloom *b);
 unsigned bloom_validation_messages(const struct bloom *b);
+/* Pipelines that have been made (and so have drawn), and how many there could be. */
+unsigned bloom_pipelines(const struct bloom *b, unsigned *possible);
 /* Prints the devices that --device could name, one a line. */
 void bloom_list_devices(void (*print)(const char *line));
 

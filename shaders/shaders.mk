@@ -1,2 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-SPIRV :=
+SPIRV := $(BUILD)/gen/spirv.h
+
+$(SPIRV): shaders/embed.sh $(wildcard shaders/*.frag shaders/*.vert shaders/*.glsl)
+	@mkdir -p $(@D)
+	@echo "glslang shaders/* -> $@"
+	@sh shaders/embed.sh $(BUILD)/gen

@@ -1,0 +1,368 @@
+// SPDX-License-Identifier: Apache-2.0
+// vk_pass.c - recording: barriers from what images remember, full-screen passes, submit and wait.
+#include "vk.h"
+
+#include <assert.h>
+
+int vk_commands_create(struct vk *v, struct vk_commands *c, bool profile, struct fault *f)
+{
+    *c = (struct vk_commands){ .vk = v };
+    const VkCommandBufferAllocateInfo info = {
+        .sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO,
+        .commandPool = v->pool,
+        .level = VK_COMMAND_BUFFER_LEVEL_PRIMARY,
+        .commandBufferCount = 1,
+    };
+    VkResult r = vkAllocateCommandBuffers(v->device, &info, &c->buffer);
+    if (r == VK_SUCCESS && profile) {
+        const VkQueryPoolCreateInfo queries = {
+            .sType = VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO,
+            .queryType = VK_QUERY_TYPE_TIMESTAMP,
+            .queryCount = VK_STAMPS_MAX,
+        };
+        r = vkCreateQueryPool(v->device, &queries, NULL, &c->queries);
+    }
+    return r == VK_SUCCESS ? 0 : vk_fault(f, r, "creating a command buffer");
+}
+
+void vk_commands_destroy(struct vk_commands *c)
+{
+    if (c->queries)
+        vkDestroyQueryPool(c->vk->device, c->queries, NULL);
+    if (c->buffer)
+        vkFreeCommandBuffers(c->vk->device, c->vk->pool, 1, &c->buffer);
+    *c = (struct vk_commands){ 0 };
+}
+
+static void stamp(struct vk_commands *c)
+{
+    if (c->queries && c->stamps < VK_STAMPS_MAX)
+        vkCmdWriteTimestamp2(c->buffer, VK_PIPELINE_STAGE_2_ALL_COMMANDS_BIT, c->queries, c->stamps++);
+}
+
+int vk_begin(struct vk_commands *c, struct fault *f)
+{
+    c->barriers = 0;
+    const VkCommandBufferBeginInfo info = {
+        .sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO,
+        .flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT,
+    };
+    VkResult r = vkBeginCommandBuffer(c->buffer, &info);
+    if (r != VK_SUCCESS)
+        return vk_fault(f, r, "vkBeginCommandBuffer");
+    if (c->queries) {
+        vkCmdResetQueryPool(c->buffer, c->queries, 0, VK_STAMPS_MAX);
+        c->stamps = 0;
+        stamp(c);
+    }
+    return 0;
+}
+
+unsigned vk_stamps_ms(struct vk_commands *c, double *out, unsigned n)
+{
+    uint64_t ticks[VK_STAMPS_MAX];
+    if (!c->queries || c->stamps < 2 ||
+        vkGetQueryPoolResults(c->vk->device, c->queries, 0, c->stamps, sizeof(ticks), ticks, sizeof(ticks[0]),
+                              VK_QUERY_RESULT_64_BIT | VK_QUERY_RESULT_WAIT_BIT) != VK_SUCCESS)
+        return 0;
+    unsigned i = 0;
+    for (; i + 1 < c->stamps && i < n; i++)
+        out[i] = (double)(ticks[i + 1] - ticks[0]) * c->vk->properties.limits.timestampPeriod * 1e-6;
+    return i;
+}
+
+static bool writes(VkAccessFlags2 access)
+{
+    return access & (VK_ACCESS_2_COLOR_ATTACHMENT_WRITE_BIT | VK_ACCESS_2_TRANSFER_WRITE_BIT |
+                     VK_ACCESS_2_SHADER_STORAGE_WRITE_BIT | VK_ACCESS_2_HOST_WRITE_BIT);
+}
+
+void vk_use(struct vk_commands *c, struct vk_image *m, VkPipelineStageFlags2 stage, VkAccessFlags2 access,
+            bool discard)
+{
+    bool same_reads = m->layout == VK_IMAGE_LAYOUT_GENERAL && !writes(m->access) && !writes(access);
+    if (same_reads && (m->stage & stage) == stage && (m->access & access) == access)
+        return;
+    assert(c->barriers < sizeof(c->barrier) / sizeof(c->barrier[0]));
+    VkImageLayout old = m->layout;
+    if (discard && old != VK_IMAGE_LAYOUT_PREINITIALIZED)
+        old = VK_IMAGE_LAYOUT_UNDEFINED;
+    c->barrier[c->barriers++] = (VkImageMemoryBarrier2){
+        .sType = VK_STRUCTURE_TYPE_IMAGE_MEMORY_BARRIER_2,
+        .srcStageMask = m->stage ? m->stage : VK_PIPELINE_STAGE_2_NONE,
+        .srcAccessMask = writes(m->access) ? m->access : 0,
+        .dstStageMask = stage,
+        .dstAccessMask = access,
+        .oldLayout = old,
+        .newLayout = VK_IMAGE_LAYOUT_GENERAL,
+        .srcQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED,
+        .dstQueueFamilyIndex = VK_QUEUE_FAMILY_IGNORED,
+        .image = m->image,
+        .subresourceRange = { VK_IMAGE_ASPECT_COLOR_BIT, 0, 1, 0, m->layers },
+    };
+    // Readers add up, so that a later write waits for all of them.
+    m->stage = same_reads ? m->stage | stage : stage;
+    m->access = same_reads ? m->access | access : access;
+    m->layout = VK_IMAGE_LAYOUT_GENERAL;
+}
+
+void vk_flush_barriers(struct vk_commands *c)
+{
+    if (!c->barriers)
+        return;
+    const VkDependencyInfo info = {
+        .sType = VK_STRUCTURE_TYPE_DEPENDENCY_INFO,
+        .imageMemoryBarrierCount = c->barriers,
+        .pImageMemoryBarriers = c->barrier,
+    };
+    vkCmdPipelineBarrier2(c->buffer, &info);
+    c->barriers = 0;
+}
+
+void vk_to_host(struct vk_commands *c)
+{
+    const VkMemoryBarrier2 barrier = {
+        .sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER_2,
+        .srcStageMask = VK_PIPELINE_STAGE_2_COLOR_ATTACHMENT_OUTPUT_BIT | VK_PIPELINE_STAGE_2_COPY_BIT,
+        .srcAccessMask = VK_ACCESS_2_COLOR_ATTACHMENT_WRITE_BIT | VK_ACCESS_2_TRANSFER_WRITE_BIT,
+        .dstStageMask = VK_PIPELINE_STAGE_2_HOST_BIT,
+        .dstAccessMask = VK_ACCESS_2_HOST_READ_BIT,
+    };
+    const VkDependencyInfo info = {
+        .sType = VK_STRUCTURE_TYPE_DEPENDENCY_INFO,
+        .memoryBarrierCount = 1,
+        .pMemoryBarriers = &barrier,
+    };
+    vkCmdPipelineBarrier2(c->buffer, &info);
+}
+
+int vk_submit_and_wait(struct vk_commands *c, struct fault *f)
+{
+    struct vk *v = c->vk;
+    vk_flush_barriers(c);
+    VkResult r = vkEndCommandBuffer(c->buffer);
+    if (r != VK_SUCCESS)
+        return vk_fault(f, r, "vkEndCommandBuffer");
+    const uint64_t value = v->timeline_value + 1;
+    const VkCommandBufferSubmitInfo command = {
+        .sType = VK_STRUCTURE_TYPE_COMMAND_BUFFER_SUBMIT_INFO,
+        .commandBuffer = c->buffer,
+    };
+    const VkSemaphoreSubmitInfo signal = {
+        .sType = VK_STRUCTURE_TYPE_SEMAPHORE_SUBMIT_INFO,
+        .semaphore = v->timeline,
+        .value = value,
+        .stageMask = VK_PIPELINE_STAGE_2_ALL_COMMANDS_BIT,
+    };
+    const VkSubmitInfo2 submit = {
+        .sType = VK_STRUCTURE_TYPE_SUBMIT_INFO_2,
+        .commandBufferInfoCount = 1,
+        .pCommandBufferInfos = &command,
+        .signalSemaphoreInfoCount = 1,
+        .pSignalSemaphoreInfos = &signal,
+    };
+    r = vkQueueSubmit2(v->queue, 1, &submit, VK_NULL_HANDLE);
+    if (r != VK_SUCCESS)
+        return vk_fault(f, r, "vkQueueSubmit2");
+    v->timeline_value = value;
+    const VkSemaphoreWaitInfo wait = {
+        .sType = VK_STRUCTURE_TYPE_SEMAPHORE_WAIT_INFO,
+        .semaphoreCount = 1,
+        .pSemaphores = &v->timeline,
+        .pValues = &value,
+    };
+    r = vkWaitSemaphores(v->device, &wait, VK_WAIT_NS_S * UINT64_C(1000000000));
+    if (r == VK_TIMEOUT)
+        return fault_set(f, FAULT_DEVICE_LOST, "", "the device did not finish a frame within %d s",
+                         VK_WAIT_NS_S);
+    return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkWaitSemaphores");
+}
+
+int vk_pipeline_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes,
+                       VkFormat format, unsigned attachments, const int32_t *spec, unsigned n_spec,
+                       struct fault *f)
+{
+    *p = (struct vk_pipeline){ .attachments = attachments, .format = format };
+    const VkShaderModuleCreateInfo module_info = {
+        .sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
+        .codeSize = bytes,
+        .pCode = spirv,
+    };
+    VkShaderModule module;
+    VkResult r = vkCreateShaderModule(v->device, &module_info, NULL, &module);
+    if (r != VK_SUCCESS)
+        return vk_fault(f, r, "vkCreateShaderModule");
+
+    VkSpecializationMapEntry entries[8];
+    assert(n_spec <= 8);
+    for (unsigned i = 0; i < n_spec; i++)
+        entries[i] = (VkSpecializationMapEntry){ i, i * (uint32_t)sizeof(int32_t), sizeof(int32_t) };
+    const VkSpecializationInfo specialisation = { n_spec, entries, n_spec * sizeof(int32_t), spec };
+    const VkPipelineShaderStageCreateInfo stages[] = {
+        { .sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO,
+          .stage = VK_SHADER_STAGE_VERTEX_BIT,
+          .module = v->vertex,
+          .pName = "main" },
+        { .sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO,
+          .stage = VK_SHADER_STAGE_FRAGMENT_BIT,
+          .module = module,
+          .pName = "main",
+          .pSpecializationInfo = n_spec ? &specialisation : NULL },
+    };
+    const VkPipelineVertexInputStateCreateInfo vertices = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_VERTEX_INPUT_STATE_CREATE_INFO
+    };
+    const VkPipelineInputAssemblyStateCreateInfo assembly = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_INPUT_ASSEMBLY_STATE_CREATE_INFO,
+        .topology = VK_PRIMITIVE_TOPOLOGY_TRIANGLE_LIST,
+    };
+    const VkPipelineViewportStateCreateInfo viewport = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_VIEWPORT_STATE_CREATE_INFO,
+        .viewportCount = 1,
+        .scissorCount = 1,
+    };
+    const VkPipelineRasterizationStateCreateInfo raster = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_RASTERIZATION_STATE_CREATE_INFO,
+        .lineWidth = 1.0f,
+    };
+    const VkPipelineMultisampleStateCreateInfo multisample = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_MULTISAMPLE_STATE_CREATE_INFO,
+        .rasterizationSamples = VK_SAMPLE_COUNT_1_BIT,
+    };
+    VkPipelineColorBlendAttachmentState blend[VK_ATTACHMENTS_MAX];
+    VkFormat formats[VK_ATTACHMENTS_MAX];
+    assert(attachments <= VK_ATTACHMENTS_MAX);
+    for (unsigned i = 0; i < attachments; i++) {
+        blend[i] = (VkPipelineColorBlendAttachmentState){ .colorWriteMask = 0xf };
+        formats[i] = format;
+    }
+    const VkPipelineColorBlendStateCreateInfo blending = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_COLOR_BLEND_STATE_CREATE_INFO,
+        .attachmentCount = attachments,
+        .pAttachments = blend,
+    };
+    const VkDynamicState states[] = { VK_DYNAMIC_STATE_VIEWPORT, VK_DYNAMIC_STATE_SCISSOR };
+    const VkPipelineDynamicStateCreateInfo dynamic = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_DYNAMIC_STATE_CREATE_INFO,
+        .dynamicStateCount = 2,
+        .pDynamicStates = states,
+    };
+    const VkPipelineRenderingCreateInfo rendering = {
+        .sType = VK_STRUCTURE_TYPE_PIPELINE_RENDERING_CREATE_INFO,
+        .colorAttachmentCount = attachments,
+        .pColorAttachmentFormats = formats,
+    };
+    const VkGraphicsPipelineCreateInfo info = {
+        .sType = VK_STRUCTURE_TYPE_GRAPHICS_PIPELINE_CREATE_INFO,
+        .pNext = &rendering,
+        .stageCount = 2,
+        .pStages = stages,
+        .pVertexInputState = &vertices,
+        .pInputAssemblyState = &assembly,
+        .pViewportState = &viewport,
+        .pRasterizationState = &raster,
+        .pMultisampleState = &multisample,
+        .pColorBlendState = &blending,
+        .pDynamicState = &dynamic,
+        .layout = v->pipeline_layout,
+    };
+    r = vkCreateGraphicsPipelines(v->device, VK_NULL_HANDLE, 1, &info, NULL, &p->pipeline);
+    vkDestroyShaderModule(v->device, module, NULL);
+    return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkCreateGraphicsPipelines");
+}
+
+void vk_pipeline_destroy(struct vk *v, struct vk_pipeline *p)
+{
+    if (p->pipeline)
+        vkDestroyPipeline(v->device, p->pipeline, NULL);
+    *p = (struct vk_pipeline){ 0 };
+}
+
+static void push_bindings(struct vk_commands *c, const struct vk_draw *d, unsigned band)
+{
+    VkDescriptorImageInfo images[2 + VK_PLANES];
+    VkWriteDescriptorSet sets[4];
+    unsigned n = 0;
+    struct vk_image *single[2] = { d->src, d->add };
+    for (unsigned i = 0; i < 2; i++) {
+        if (!single[i])
+            continue;
+        images[i] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, single[i]->view, VK_IMAGE_LAYOUT_GENERAL };
+        sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                            .dstBinding = i,
+                                            .descriptorCount = 1,
+                                            .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
+                                            .pImageInfo = &images[i] };
+    }
+    if (d->in[0]) {
+        for (unsigned i = 0; i < VK_PLANES; i++)
+            images[2 + i] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, d->in[d->bands > 1 ? band : i]->view,
+                                                     VK_IMAGE_LAYOUT_GENERAL };
+        sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                            .dstBinding = 2,
+                                            .descriptorCount = VK_PLANES,
+                                            .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
+                                            .pImageInfo = &images[2] };
+    }
+    const VkDescriptorBufferInfo uniforms = { d->uniforms, d->uniforms_offset, d->uniforms_bytes };
+    sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                        .dstBinding = 3,
+                                        .descriptorCount = 1,
+                                        .descriptorType = VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,
+                                        .pBufferInfo = &uniforms };
+    c->vk->push_descriptor_set(c->buffer, VK_PIPELINE_BIND_POINT_GRAPHICS, c->vk->pipeline_layout, 0, n,
+                               sets);
+}
+
+void vk_draw(struct vk_commands *c, const struct vk_draw *d)
+{
+    const VkPipelineStageFlags2 fragment = VK_PIPELINE_STAGE_2_FRAGMENT_SHADER_BIT;
+    const VkPipelineStageFlags2 output = VK_PIPELINE_STAGE_2_COLOR_ATTACHMENT_OUTPUT_BIT;
+    VkRenderingAttachmentInfo attachments[VK_ATTACHMENTS_MAX];
+    uint32_t width = 0, height = 0;
+    for (unsigned i = 0; i < d->pipeline->attachments; i++) {
+        struct vk_image *m = d->dst ? d->dst : d->dst_each[i];
+        attachments[i] = (VkRenderingAttachmentInfo){
+            .sType = VK_STRUCTURE_TYPE_RENDERING_ATTACHMENT_INFO,
+            .imageView = m->layer_view[d->dst ? i : 0],
+            .imageLayout = VK_IMAGE_LAYOUT_GENERAL,
+            .loadOp = VK_ATTACHMENT_LOAD_OP_DONT_CARE,
+            .storeOp = VK_ATTACHMENT_STORE_OP_STORE,
+        };
+        width = m->width;
+        height = m->height;
+        const bool all = d->area.extent.width == width && d->area.extent.height == height;
+        if (!d->dst || i == 0)
+            vk_use(c, m, output, VK_ACCESS_2_COLOR_ATTACHMENT_WRITE_BIT, all);
+    }
+    if (d->src)
+        vk_use(c, d->src, fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
+    if (d->add)
+        vk_use(c, d->add, fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
+    for (unsigned i = 0; d->in[0] && i < VK_PLANES; i++)
+        vk_use(c, d->in[i], fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
+    vk_flush_barriers(c);
+
+    const VkRenderingInfo rendering = {
+        .sType = VK_STRUCTURE_TYPE_RENDERING_INFO,
+        .renderArea = d->area,
+        .layerCount = 1,
+        .colorAttachmentCount = d->pipeline->attachments,
+        .pColorAttachments = attachments,
+    };
+    const VkViewport viewport = { 0, 0, (float)width, (float)height, 0, 1 };
+    vkCmdBeginRendering(c->buffer, &rendering);
+    vkCmdBindPipeline(c->buffer, VK_PIPELINE_BIND_POINT_GRAPHICS, d->pipeline->pipeline);
+    vkCmdSetViewport(c->buffer, 0, 1, &viewport);
+    const unsigned bands = d->bands > 1 ? d->bands : 1;
+    for (unsigned i = 0; i < bands; i++) {
+        VkRect2D band = d->area;
+        band.extent.height /= bands;
+        band.offset.y += (int32_t)(i * band.extent.height);
+        vkCmdSetScissor(c->buffer, 0, 1, &band);
+        push_bindings(c, d, i);
+        vkCmdDraw(c->buffer, 3, 1, 0, 0);
+    }
+    vkCmdEndRendering(c->buffer);
+    stamp(c);
+}

@@ -1,0 +1,152 @@
+#version 460
+// SPDX-License-Identifier: Apache-2.0
+#extension GL_GOOGLE_include_directive : require
+// Bright pass at full resolution (METHODS section 1, steps 1 and 4), all channels at once, 4 cells x 2 rows
+// a fragment. With ORDER the first horizontal halving is taken along (the result has half the columns and
+// all rows), so that E itself is never stored; ORDER 0 stores it.
+// -D HALF: input planes hold 8 halfs in a texel, else 4 floats. -D CHANNELS 3 or 1.
+#define READS_IN
+#include "common.glsl"
+#if ORDER
+#include "binomial.glsl"
+#endif
+
+layout(constant_id = 0) const int CURVE = 3;
+
+#if CHANNELS == 3
+layout(location = 0) out vec4 out_r0;
+layout(location = 1) out vec4 out_r1;
+layout(location = 2) out vec4 out_g0;
+layout(location = 3) out vec4 out_g1;
+layout(location = 4) out vec4 out_b0;
+layout(location = 5) out vec4 out_b1;
+#else
+layout(location = 0) out vec4 out_r0;
+layout(location = 1) out vec4 out_r1;
+#endif
+
+#ifdef HALF
+const int WIDE = 8;
+#else
+const int WIDE = 4;
+#endif
+
+// Input pixels that 4 output cells need: FIRST .. FIRST + SPAN - 1, from the block's own first pixel.
+#if ORDER
+const int FIRST = 1 - ORDER / 2, SPAN = 6 + ORDER, STEP = 8;
+#else
+const int FIRST = 0, SPAN = 4, STEP = 4;
+#endif
+
+float finite_part(float v)
+{
+    return nonfinite(floatBitsToUint(v)) ? 0.0 : max(v, 0.0);
+}
+
+vec3 excess(vec3 c)
+{
+    if (CURVE == 0)
+        return c;
+    if (CURVE == 1)
+        return max(c - pass.bright.x, 0.0);
+    float l = dot(c, pass.luma.rgb);
+    float gain;
+    if (CURVE == 4) {
+        // A knee of no width is a step; 1/(2TK) is 0 then.
+        float t = pass.bright.z == 0.0 ? float(l > pass.bright.x) : clamp((l - pass.bright.w) * pass.bright.z, 0.0, 1.0);
+        gain = t * t * (3.0 - 2.0 * t);
+    } else {
+        float s = clamp(l - pass.bright.w, 0.0, pass.bright.y);
+        gain = max(s * (s * pass.bright.z), max(l - pass.bright.x, 0.0)) / max(l, 1.1754944e-38);
+    }
+    return c * gain;
+}
+
+void unpack_texel(uvec4 u, out float v[8])
+{
+#ifdef HALF
+    vec2 a = unpackHalf2x16(u.x), b = unpackHalf2x16(u.y), c = unpackHalf2x16(u.z), d = unpackHalf2x16(u.w);
+    v = float[](a.x, a.y, b.x, b.y, c.x, c.y, d.x, d.y);
+#else
+    vec4 f = uintBitsToFloat(u);
+    v = float[](f.x, f.y, f.z, f.w, 0.0, 0.0, 0.0, 0.0);
+#endif
+}
+
+void main()
+{
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    // Column 8 of the target is cell 0; x0 is a multiple of WIDE, and the texel before covers FIRST.
+    int x0 = (at.x - 2) * STEP, y0 = at.y * 2 - 8;
+    const int LEAD = ORDER == 0 ? 0 : 1;
+#if ORDER == 0 && defined(HALF)
+    // A half texel holds two blocks of 4.
+    int texel0 = x0 >> 3;
+    bool second = (x0 & 4) != 0;
+    const int TEXELS = 1;
+#else
+    int texel0 = x0 / WIDE - LEAD;
+    if (x0 < 0)
+        texel0 = -((-x0) / WIDE) - LEAD;
+    const int TEXELS = ORDER == 0 ? 1 : WIDE == 8 ? 3 : 4;
+#endif
+    int texels = (pass.frame.x + WIDE - 1) / WIDE;
+    vec4 result[2][3];
+    [[unroll]] for (int row = 0; row < 2; row++) {
+        int y = y0 + row;
+        bool inside_y = y >= 0 && y < pass.frame.y;
+        int yc = clamp(y, 0, pass.frame.y - 1);
+        vec3 e[32];
+        [[unroll]] for (int t = 0; t < TEXELS; t++) {
+            int tc = clamp(texel0 + t, 0, texels - 1);
+            float r[8], g[8], b[8];
+            unpack_texel(imageLoad(planes[0], ivec2(tc, yc)), r);
+#if CHANNELS == 3
+            unpack_texel(imageLoad(planes[1], ivec2(tc, yc)), g);
+            unpack_texel(imageLoad(planes[2], ivec2(tc, yc)), b);
+#else
+            g = r;
+            b = r;
+#endif
+            [[unroll]] for (int i = 0; i < WIDE; i++) {
+                int k = t * WIDE + i - LEAD * WIDE; // from x0
+                if (k < FIRST || k >= FIRST + SPAN) {
+#if !(ORDER == 0 && defined(HALF))
+                    continue;
+#endif
+                }
+                int x = (texel0 + t) * WIDE + i;
+                bool inside = inside_y && x >= 0 && x < pass.frame.x;
+#if CHANNELS == 3
+                vec3 c = vec3(finite_part(r[i]), finite_part(g[i]), finite_part(b[i]));
+#else
+                vec3 c = vec3(finite_part(r[i]), 0.0, 0.0);
+#endif
+                vec3 v = excess(c);
+                e[t * WIDE + i] = inside ? v : vec3(0.0);
+            }
+        }
+        [[unroll]] for (int i = 0; i < 4; i++) {
+            vec3 sum = vec3(0.0);
+#if ORDER
+            [[unroll]] for (int k = 0; k < ORDER; k++)
+                sum += B[k] * e[2 * i + k + FIRST + LEAD * WIDE];
+#elif defined(HALF)
+            sum = second ? e[4 + i] : e[i];
+#else
+            sum = e[i];
+#endif
+            result[row][0][i] = sum.r;
+            result[row][1][i] = sum.g;
+            result[row][2][i] = sum.b;
+        }
+    }
+    out_r0 = result[0][0];
+    out_r1 = result[1][0];
+#if CHANNELS == 3
+    out_g0 = result[0][1];
+    out_g1 = result[1][1];
+    out_b0 = result[0][2];
+    out_b1 = result[1][2];
+#endif
+}

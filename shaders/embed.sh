@@ -1,0 +1,49 @@
+#!/bin/sh
+# SPDX-License-Identifier: Apache-2.0
+# embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h: the words
+# of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pass.c asks by name.
+set -eu
+cd "$(dirname "$0")/.."
+out=$1
+tmp=$(mktemp -d)
+trap 'rm -rf "$tmp"' EXIT
+table=
+one() { # name file flags...
+    name=$1 file=$2
+    shift 2
+    glslangValidator --quiet -V --target-env vulkan1.3 -Ishaders "$@" --vn "spirv_$name" \
+        -o "$tmp/$name.h" "shaders/$file" >"$tmp/log" || { cat "$tmp/log" >&2; echo "shaders/$file $*" >&2; exit 1; }
+    sed -e '/#pragma/d' -e 's/^const/static const/' "$tmp/$name.h" >>"$tmp/all"
+    table="$table    { \"$name\", spirv_$name, sizeof(spirv_$name) },
+"
+}
+one fullscreen fullscreen.vert
+for order in 0 4 6 8; do
+    for channels in 1 3; do
+        one bright_o${order}_c$channels bright.frag -DORDER=$order -DCHANNELS=$channels
+        one bright_o${order}_c${channels}_half bright.frag -DORDER=$order -DCHANNELS=$channels -DHALF
+    done
+    one composite_o$order composite.frag -DORDER=$order
+    one composite_o${order}_half composite.frag -DORDER=$order -DHALF
+    [ $order = 0 ] && continue
+    one down_o$order down.frag -DORDER=$order
+    one down_layered_o$order down.frag -DORDER=$order -DLAYERED
+    one down_vertical_o$order down.frag -DORDER=$order -DLAYERED -DVERTICAL
+    one up_o$order up.frag -DORDER=$order
+done
+for reach in 1 2 3 4 6 10; do
+    one blur_h_r$reach blur.frag -DREACH=$reach
+    one blur_h_layered_r$reach blur.frag -DREACH=$reach -DLAYERED
+    one blur_v_r$reach blur.frag -DREACH=$reach -DVERTICAL
+    one blur_v_add_r$reach blur.frag -DREACH=$reach -DVERTICAL -DADD_SAME
+done
+{
+    echo "/* Made by shaders/embed.sh. */"
+    echo "#include <stddef.h>"
+    echo "#include <stdint.h>"
+    cat "$tmp/all"
+    echo "struct spirv_entry { const char *name; const uint32_t *words; size_t bytes; };"
+    echo "static const struct spirv_entry spirv_table[] = {"
+    printf '%s};\n' "$table"
+} >"$tmp/spirv.h"
+mv "$tmp/spirv.h" "$out/spirv.h"
