@@ -1,0 +1,148 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * job.h - one frame in flight, and the work of each of its stages.
+ *
+ *     UPLOAD    socket thread   inline bytes come in
+ *     WAITING   sched's queues  the fair ones
+ *     OPEN      pool            the bytes are read or mapped, the headers parsed, the targets chosen
+ *     PREPARE   device thread   planes of the right size (skipped when a slot has them already)
+ *     DECODE    pool, n tasks
+ *     BLOOM     device thread
+ *     BEGIN     pool            the encoder's start; a raw result's memory
+ *     ENCODE    pool, n tasks
+ *     FINISH    pool            the file is put together, everything but the reply's material freed;
+ *                               also where a job that failed or was cancelled comes to be freed
+ *     DONE      socket thread   replied to, destroyed
+ *
+ * A job has one owner at a time and moves by sched's queues, under sched's lock. The tasks of a stage are
+ * shared out; a stage's functions touch only what is theirs, so that the tasks of one stage may run at
+ * once. The only field that is written from elsewhere is `cancel`.
+ */
+#ifndef AIRYD_JOB_H
+#define AIRYD_JOB_H
+
+#include <stdatomic.h>
+#include <sys/queue.h>
+
+#include "block.h"
+#include "bloom.h"
+#include "exr.h"
+#include "metrics.h"
+#include "params.h"
+#include "payload.h"
+#include "raw.h"
+
+enum job_stage {
+    JOB_UPLOAD,
+    JOB_WAITING,
+    JOB_OPEN,
+    JOB_PREPARE,
+    JOB_DECODE,
+    JOB_BLOOM,
+    JOB_BEGIN,
+    JOB_ENCODE,
+    JOB_FINISH,
+    JOB_DONE,
+    JOB_STAGES
+};
+
+enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER };
+
+enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = 2048 };
+
+struct job_limits {
+    uint64_t max_frame_bytes; /* a payload, either way */
+    struct exr_limits exr;    /* raw pictures are held to the same sizes */
+};
+
+struct job_env { /* what all jobs share; constant */
+    struct job_limits limits;
+    struct block_pool *blocks;
+};
+
+struct job_target { /* what the reply says of one */
+    char name[256];
+    int32_t min_x, min_y;
+    uint32_t width, height;
+    unsigned channels;
+    struct bloom_reply bloom;
+    double energy_input;
+    uint64_t nan, positive_inf, negative_inf, negative, first_nonfinite;
+};
+
+struct sched_flow;
+struct sched_slot;
+struct client;
+struct client_host;
+
+struct job {
+    /* The client's; constant from the submit on. */
+    struct client *client; /* NULL: gone */
+    struct client_host *host;
+    uint64_t input_held, output_held; /* bytes that count against the host's */
+    uint64_t id;
+    TAILQ_ENTRY(job) of_client;
+    struct params params;
+    bool raw;
+    struct raw_layout layout;
+    char part[256], layer[256], view[256];
+    struct exr_options exr_options;
+    enum job_output output_kind;
+    struct payload input, output;
+    uint64_t received, credit_bytes, upload_ns; /* inline: so far; held; last progress */
+    bool wants_progress, overrun; /* overrun: more came than was announced */
+    int progress_sent; /* the last stage told, -1: none */
+
+    /* sched's, under its lock. */
+    const struct job_env *env;
+    TAILQ_ENTRY(job) link;
+    bool linked; /* in a queue by `link` */
+    struct sched_flow *flow;
+    struct sched_slot *slot;
+    unsigned tasks, next_task, running;
+    unsigned fault_task;
+    bool retried;
+    struct fault fault; /* code FAULT_NONE: none so far */
+    uint64_t accepted_ns, admitted_ns, stage_ns;
+    _Atomic int stage; /* enum job_stage; read by the socket thread for PROGRESS */
+    _Atomic bool cancel;
+
+    /* The work. */
+    struct exr *exr;
+    char stamp[JOB_STAMP_MAX];
+    struct frame_scan raw_scan; /* raw only; tile_luma NULL: none */
+    struct planes raw_in, raw_out;
+    bool untouched[BLOOM_TARGETS_MAX];
+    _Atomic uint64_t raw_saturated;
+
+    /* The reply's material. */
+    bool finished; /* a result; else `fault` says why not, else it was cancelled */
+    unsigned n_targets;
+    struct job_target target[BLOOM_TARGETS_MAX];
+    struct exr_counts counts;
+    unsigned n_notes;
+    char note[JOB_NOTES_MAX][JOB_NOTE_MAX];
+    struct stage_times ms;
+    uint64_t input_bytes;
+};
+TAILQ_HEAD(job_queue, job);
+
+struct job *job_create(const struct job_env *env); /* NULL: no memory */
+void job_destroy(struct job *j);                   /* owner: socket thread; NULL is fine */
+
+bool job_stage_on_device(enum job_stage s);
+/* Tasks of the stage that the job is in. Cheap. */
+unsigned job_tasks(const struct job *j);
+/* Runs one. 0, or -1 and *f. */
+int job_task(struct job *j, unsigned task, struct exr_worker *w, struct fault *f);
+
+/* After OPEN: what planes are needed. Returns their number. */
+unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX]);
+/* Hands the planes of the job's slot to the decoder and encoder. */
+void job_bind(struct job *j, const struct planes *in, const struct planes *out);
+/* BLOOM, all targets. */
+int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault *f);
+/* Back to before OPEN, the input's bytes kept: its planes are lost with their device. */
+void job_rewind(struct job *j);
+
+#endif

@@ -1,0 +1,290 @@
+// SPDX-License-Identifier: Apache-2.0
+// main.c - airyd's options, and the order of its start and end. airyd.8 is the manual.
+#include <errno.h>
+#include <fcntl.h>
+#include <getopt.h>
+#include <limits.h>
+#include <sched.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/resource.h>
+#include <systemd/sd-daemon.h>
+#include <unistd.h>
+
+#include "airy.h"
+#include "server.h"
+
+enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
+
+struct options {
+    const char *socket, *device, *warm;
+    uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s;
+    int lifetime_fd;
+    bool validate, verbose;
+};
+
+static void say(const char *line)
+{
+    // A client's words are in some lines: they stay one line.
+    char text[1024];
+    size_t n = 0;
+    for (; line[n] && n < sizeof text - 1; n++)
+        text[n] = (unsigned char)line[n] < ' ' || line[n] == 127 ? '?' : line[n];
+    text[n] = 0;
+    fprintf(stderr, "airyd: %s\n", text);
+}
+
+static void say_fault(const struct fault *f)
+{
+    char line[512];
+    snprintf(line, sizeof line, "%s%s%s", f->field, f->field[0] ? ": " : "", f->text);
+    say(line);
+}
+
+static void print_line(const char *line) { puts(line); }
+
+static const char usage[] =
+    "Usage: airyd [OPTION]...\n"
+    "Blooms HDR frames that come over a Unix socket, on one Vulkan device.\n\n"
+    "      --socket PATH          listen here (default: $XDG_RUNTIME_DIR/airyd.sock, for root\n"
+    "                             /run/airyd/airyd.sock; not used with a socket from systemd)\n"
+    "      --device WHICH         cpu, gpu, an index or part of a name (default: the best)\n"
+    "      --list-devices         print the devices and exit\n"
+    "      --threads N            codec threads, 1 to 256 (default: the number of CPUs)\n"
+    "      --slots N              frames between decoding and encoding, 1 to 8 (default 3)\n"
+    "      --max-frame-bytes N    largest payload, either way; K, M, G may follow (default 2G, at\n"
+    "                             most a quarter of the memory)\n"
+    "      --max-clients N        connections, 1 to 65536 (default 1024)\n"
+    "      --max-requests N       requests in flight on a connection, 1 to 4096 (default 64)\n"
+    "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
+    "      --lifetime-fd N        stop when this inherited pipe's other end is closed\n"
+    "      --warm WORD            draw with all pipelines before the first request, or with the common ones\n"
+    "                             (default all; common with --lifetime-fd, where somebody waits)\n"
+    "      --validate             Vulkan validation; any message makes the exit status 4\n"
+    "      --verbose              a line for each connection and error\n"
+    "      --help, --version\n";
+
+enum option_id {
+    OPT_SOCKET = 1,
+    OPT_DEVICE,
+    OPT_LIST,
+    OPT_THREADS,
+    OPT_SLOTS,
+    OPT_FRAME,
+    OPT_CLIENTS,
+    OPT_REQUESTS,
+    OPT_TIMEOUT,
+    OPT_LIFETIME,
+    OPT_WARM,
+    OPT_VALIDATE,
+    OPT_VERBOSE,
+    OPT_HELP,
+    OPT_VERSION
+};
+
+static const struct option options_known[] = {
+    { "socket", required_argument, NULL, OPT_SOCKET },
+    { "device", required_argument, NULL, OPT_DEVICE },
+    { "list-devices", no_argument, NULL, OPT_LIST },
+    { "threads", required_argument, NULL, OPT_THREADS },
+    { "slots", required_argument, NULL, OPT_SLOTS },
+    { "max-frame-bytes", required_argument, NULL, OPT_FRAME },
+    { "max-clients", required_argument, NULL, OPT_CLIENTS },
+    { "max-requests", required_argument, NULL, OPT_REQUESTS },
+    { "timeout-s", required_argument, NULL, OPT_TIMEOUT },
+    { "lifetime-fd", required_argument, NULL, OPT_LIFETIME },
+    { "warm", required_argument, NULL, OPT_WARM },
+    { "validate", no_argument, NULL, OPT_VALIDATE },
+    { "verbose", no_argument, NULL, OPT_VERBOSE },
+    { "help", no_argument, NULL, OPT_HELP },
+    { "version", no_argument, NULL, OPT_VERSION },
+    { NULL, 0, NULL, 0 },
+};
+
+// Exits when the option's value is no number in [min, max].
+static uint64_t number(const char *name, const char *text, uint64_t min, uint64_t max)
+{
+    char *end = NULL;
+    errno = 0;
+    unsigned long long n = text[0] >= '0' && text[0] <= '9' ? strtoull(text, &end, 10) : 0;
+    unsigned shift = 0;
+    if (end && *end && !end[1])
+        shift = *end == 'K' ? 10 : *end == 'M' ? 20 : *end == 'G' ? 30 : 0;
+    if (end && shift)
+        end++;
+    if (end && !*end && !errno && n <= UINT64_MAX >> shift && n << shift >= min && n << shift <= max)
+        return n << shift;
+    fprintf(stderr, "airyd: --%s: \"%s\"; expected a whole number from %llu to %llu\n", name, text,
+            (unsigned long long)min, (unsigned long long)max);
+    exit(EXIT_USAGE);
+}
+
+static void take_option(struct options *o, int id, const char *arg)
+{
+    switch (id) {
+    case OPT_SOCKET: o->socket = arg; break;
+    case OPT_DEVICE: o->device = arg; break;
+    case OPT_LIST: bloom_list_devices(print_line); exit(fflush(stdout) ? EXIT_FAILURE : EXIT_SUCCESS);
+    case OPT_THREADS: o->threads = number("threads", arg, 1, SCHED_THREADS_MAX); break;
+    case OPT_SLOTS: o->slots = number("slots", arg, 1, SCHED_SLOTS_MAX); break;
+    case OPT_FRAME: o->max_frame_bytes = number("max-frame-bytes", arg, 4096, UINT64_C(1) << 40); break;
+    case OPT_CLIENTS: o->max_clients = number("max-clients", arg, 1, 65536); break;
+    case OPT_REQUESTS: o->max_requests = number("max-requests", arg, 1, 4096); break;
+    case OPT_TIMEOUT: o->timeout_s = number("timeout-s", arg, 1, 86400); break;
+    case OPT_LIFETIME:
+        o->lifetime_fd = (int)number("lifetime-fd", arg, 0, INT_MAX);
+        if (fcntl(o->lifetime_fd, F_SETFD, FD_CLOEXEC) < 0) {
+            fprintf(stderr, "airyd: --lifetime-fd: descriptor %d is not open\n", o->lifetime_fd);
+            exit(EXIT_USAGE);
+        }
+        break;
+    case OPT_WARM:
+        if (strcmp(arg, "all") && strcmp(arg, "common")) {
+            fprintf(stderr, "airyd: --warm: \"%s\"; expected all or common\n", arg);
+            exit(EXIT_USAGE);
+        }
+        o->warm = arg;
+        break;
+    case OPT_VALIDATE: o->validate = true; break;
+    case OPT_VERBOSE: o->verbose = true; break;
+    case OPT_HELP: fputs(usage, stdout); exit(EXIT_SUCCESS);
+    case OPT_VERSION: puts("airyd " AIRY_VERSION); exit(EXIT_SUCCESS);
+    default: fputs("airyd: see airyd --help\n", stderr); exit(EXIT_USAGE);
+    }
+}
+
+static void read_options(struct options *o, int argc, char **argv)
+{
+    int id;
+    // getopt's own messages name the option.
+    while ((id = getopt_long(argc, argv, "", options_known, NULL)) != -1)
+        take_option(o, id, optarg);
+    if (optind < argc) {
+        fprintf(stderr, "airyd: \"%s\": no such argument; see airyd --help\n", argv[optind]);
+        exit(EXIT_USAGE);
+    }
+}
+
+// What this process may use: of the machine, or of its control group.
+static uint64_t memory_bytes(void)
+{
+    uint64_t all = (uint64_t)sysconf(_SC_PHYS_PAGES) * (uint64_t)sysconf(_SC_PAGESIZE);
+    FILE *file = fopen("/sys/fs/cgroup/memory.max", "re");
+    unsigned long long max;
+    if (file && fscanf(file, "%llu", &max) == 1 && max < all)
+        all = max;
+    if (file)
+        fclose(file);
+    return all;
+}
+
+static uint64_t least(uint64_t a, uint64_t b) { return a < b ? a : b; }
+static uint64_t most(uint64_t a, uint64_t b) { return a > b ? a : b; }
+
+// A request holds two descriptors and its result one.
+static unsigned jobs_for(uint64_t clients)
+{
+    struct rlimit limit = { .rlim_cur = 1024 };
+    if (getrlimit(RLIMIT_NOFILE, &limit) == 0) {
+        limit.rlim_cur = limit.rlim_max;
+        setrlimit(RLIMIT_NOFILE, &limit);
+        getrlimit(RLIMIT_NOFILE, &limit);
+    }
+    uint64_t spare = limit.rlim_cur > clients + 64 ? limit.rlim_cur - clients - 64 : 0;
+    return (unsigned)most(16, least(spare / 3, 65536));
+}
+
+static unsigned cpus(void)
+{
+    cpu_set_t set;
+    int n = sched_getaffinity(0, sizeof set, &set) == 0 ? CPU_COUNT(&set) : 1;
+    return n > SCHED_THREADS_MAX ? SCHED_THREADS_MAX : (unsigned)n;
+}
+
+static void configure(struct server_config *c, const struct options *o)
+{
+    uint64_t memory = memory_bytes(), gib = UINT64_C(1) << 30;
+    uint32_t timeout_ms = (uint32_t)o->timeout_s * 1000;
+    uint64_t frame = o->max_frame_bytes ? o->max_frame_bytes : least(2 * gib, memory / 4);
+    *c = (struct server_config){
+        .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
+                   .slots = (unsigned)o->slots,
+                   .device = { .device = o->device, .validate = o->validate,
+                               .warm_all = o->warm ? !strcmp(o->warm, "all") : o->lifetime_fd < 0, .log = say },
+                   .log = say },
+        .limits = { .max_frame_bytes = frame,
+                    .exr = { .max_width = 16384,
+                             .max_height = 16384,
+                             .max_pixels = least(UINT64_C(16384) * 16384, memory / 48),
+                             .max_decoded_bytes = memory / 4 } },
+        // The largest frame must fit, or nobody could ever send it.
+        .credit_bytes = most(frame, least(gib, memory / 8)),
+        .held_bytes_max = most(frame, memory / 3),
+        .idle_bytes_max = least(gib, memory / 16),
+        .max_requests = (uint32_t)o->max_requests,
+        .max_clients = (unsigned)o->max_clients,
+        .max_jobs = jobs_for(o->max_clients),
+        .timeouts = { .hello = timeout_ms, .write = timeout_ms, .upload = timeout_ms, .linger = 1000 },
+        .lifetime_fd = o->lifetime_fd,
+        .log = say,
+        .verbose = o->verbose,
+    };
+}
+
+static int open_listener(struct listener *l, const struct options *o, struct fault *f)
+{
+    char path[sizeof l->path];
+    if (listener_from_systemd(l, f) < 0)
+        return -1;
+    if (l->count) {
+        if (!o->socket)
+            return 0;
+        return fault_set(f, FAULT_INTERNAL, "--socket", "\"%.200s\", and systemd passed %u sockets; expected one "
+                                                        "or the other",
+                         o->socket, l->count);
+    }
+    if (o->socket)
+        return listener_bind(l, o->socket, f);
+    return listener_default_path(path, sizeof path, f) < 0 ? -1 : listener_bind(l, path, f);
+}
+
+static int run(const struct options *o)
+{
+    struct server_config config;
+    struct server *server = NULL;
+    struct listener listener = { .lock_fd = -1 };
+    struct fault f = { .code = FAULT_NONE };
+    configure(&config, o);
+    if (open_listener(&listener, o, &f) < 0 || server_create(&server, &config, &listener, &f) < 0) {
+        say_fault(&f);
+        listener_finish(&listener);
+        return EXIT_FAILURE;
+    }
+    char line[800];
+    const struct bloom_device_info *d = server_device(server);
+    snprintf(line, sizeof line, "ready on %s: %s (%s), %u codec threads, %u slots",
+             listener.path[0] ? listener.path : "systemd's socket", d->name, d->driver, config.sched.threads,
+             config.sched.slots);
+    say(line);
+    sd_notify(0, "READY=1");
+    int status = server_run(server);
+    unsigned messages = server_validation_messages(server);
+    server_destroy(server);
+    if (messages) {
+        snprintf(line, sizeof line, "%u Vulkan validation messages", messages);
+        say(line);
+        status = status ? status : EXIT_VALIDATION;
+    }
+    say("stopped");
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    struct options o = {
+        .slots = 3, .max_clients = 1024, .max_requests = 64, .timeout_s = 60, .lifetime_fd = -1
+    };
+    read_options(&o, argc, argv);
+    return run(&o);
+}
