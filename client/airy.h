@@ -19,6 +19,8 @@
  *     airy_result_free(res);
  *
  * Functions return 0 (or as stated) on success and -1 on failure with *e filled; e may be NULL.
+ * The library starts no threads, raises and handles no signals, prints nothing and has no global state.
+ * It never maps what could be truncated under it, so that no peer can make it SIGBUS.
  */
 #ifndef AIRY_H
 #define AIRY_H
@@ -26,6 +28,12 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+
+#if defined(AIRY_BUILD) && defined(__GNUC__)
+#define AIRY_API __attribute__((visibility("default")))
+#else
+#define AIRY_API
+#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -37,8 +45,9 @@ struct airy;
 struct airy_result_private;
 
 struct airy_error {
-    int code;            /* PROTOCOL.md's table (100..599) from the daemon; -errno from this side */
-    char symbol[32];     /* "PARAM_RANGE"; "LOCAL" from this side */
+    int code;            /* PROTOCOL.md's table (100..599) from the daemon; -errno from this side;
+                            -ECANCELED after a cancel */
+    char symbol[32];     /* "PARAM_RANGE"; "LOCAL" from this side; "CANCELLED" */
     char field[64];      /* what it is about; may be empty */
     char text[384];      /* one sentence for people */
     bool retryable;
@@ -49,24 +58,25 @@ struct airy_error {
 
 /* path NULL: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock: the
  * first that answers. Blocks for at most 5 s. */
-int airy_connect(struct airy **out, const char *path, struct airy_error *e);
-/* Takes over a connected stream socket. */
-int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
-void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
+AIRY_API int airy_connect(struct airy **out, const char *path, struct airy_error *e);
+/* Takes over a connected stream socket (closed on failure, too). Blocks for at most 5 s. */
+AIRY_API int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
+AIRY_API void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
 
 struct airy_limits {
     uint64_t max_frame_bytes, max_pixels, credit_bytes;
     uint32_t max_width, max_height, max_requests;
 };
-const char *airy_server(const struct airy *a);  /* "airyd/0.1.0" */
-const char *airy_device(const struct airy *a);  /* Vulkan's name of the device */
-const struct airy_limits *airy_limits(const struct airy *a);
+AIRY_API const char *airy_server(const struct airy *a);  /* "airyd/0.1.0" */
+AIRY_API const char *airy_device(const struct airy *a);  /* Vulkan's name of the device */
+AIRY_API const struct airy_limits *airy_limits(const struct airy *a);
 
 /* For an event loop: poll airy_fd() for airy_events() (POLLIN, POLLOUT), then call airy_pump(), then
- * airy_ready() or airy_wait(..., 0, ...). airy_pump: 0, or -1 when the connection is lost. */
-int airy_fd(const struct airy *a);
-short airy_events(const struct airy *a);
-int airy_pump(struct airy *a, struct airy_error *e);
+ * airy_wait_any(..., 0, ...) until it returns 0. airy_pump never blocks: 0, or -1 when the connection is
+ * lost; airy_fd() is then -1, and results that came before can still be had. */
+AIRY_API int airy_fd(const struct airy *a);
+AIRY_API short airy_events(const struct airy *a);
+AIRY_API int airy_pump(struct airy *a, struct airy_error *e);
 
 /* ---- requests ---------------------------------------------------------------------------------- */
 
@@ -85,8 +95,9 @@ struct airy_param { char name[32]; char value[512]; };
 
 struct airy_request {
     /* Input: exactly one of data (sent inline, copied nowhere; it must stay until the submit's
-     * request ended) and input_fd (memfd sealed with F_SEAL_SHRINK, or a regular file; stays the
-     * caller's, may be closed after airy_submit). size 0 with a descriptor: all from offset on. */
+     * request ended, or airy_close) and input_fd (memfd sealed with F_SEAL_SHRINK, or a regular file;
+     * stays the caller's, may be closed after airy_submit). The payload is the `size` bytes from
+     * `offset` on; size 0 with a descriptor: all from offset on. */
     const void *data;
     int input_fd;
     uint64_t offset, size;
@@ -106,23 +117,37 @@ struct airy_request {
 
     struct airy_param params[AIRY_PARAMS_MAX];
     unsigned n_params;
+    /* Called from within airy_submit, airy_pump and the waits; must not use the connection. */
     void (*progress)(void *ctx, uint64_t id, const char *stage, double fraction);
     void *progress_ctx;
 };
+#ifdef __cplusplus
+static inline struct airy_request airy_request_init()
+{
+    struct airy_request r = {};
+    r.input_fd = r.output_fd = -1;
+    return r;
+}
+#define AIRY_REQUEST_INIT airy_request_init()
+#else
 #define AIRY_REQUEST_INIT { .input_fd = -1, .output_fd = -1 }
+#endif
 
 /* Adds a parameter; the daemon validates it. Fails when full or too long. */
-int airy_request_param(struct airy_request *r, const char *name, const char *value,
+AIRY_API int airy_request_param(struct airy_request *r, const char *name, const char *value,
                        struct airy_error *e);
 /* An anonymous shared-memory file of `size` bytes, sealed against shrinking and growing: the
- * fastest way in and out. Returns the descriptor (the caller's) and its mapping in *map, or -1. */
-int airy_memfd(uint64_t size, void **map, struct airy_error *e);
+ * fastest way in and out. Returns the descriptor (the caller's) and its mapping in *map (the
+ * caller's to munmap), or -1. */
+AIRY_API int airy_memfd(uint64_t size, void **map, struct airy_error *e);
 
-/* Sends a request; *id is what to wait for. Blocks while the connection has no credit (until earlier
- * requests end). */
-int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e);
-/* Asks to stop: the request then ends with symbol "CANCELLED", or as it would have. */
-int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e);
+/* Sends a request; *id is what to wait for. The strings and descriptors in *r are no longer needed when
+ * it returns. Blocks while the connection has no credit or no request left (until earlier requests
+ * end). Inline data that the socket does not take at once is sent by airy_pump and the waits. */
+AIRY_API int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e);
+/* Asks to stop: the request then ends with symbol "CANCELLED", or as it would have, and is still to be
+ * waited for. No harm when it has ended already. */
+AIRY_API int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e);
 
 /* ---- results ----------------------------------------------------------------------------------- */
 
@@ -143,7 +168,7 @@ struct airy_times { double queue, load, decode, bloom, encode, total; }; /* ms *
 
 struct airy_result {
     uint64_t id;
-    const void *data;    /* the output, mapped or received; NULL when output_fd was given */
+    const void *data;    /* the output, mapped read-only or received; NULL when output_fd was given */
     uint64_t size;
     int fd;              /* the output's memfd, owned by the result; -1 when inline */
     const struct airy_target *targets;
@@ -157,15 +182,16 @@ struct airy_result {
     struct airy_result_private *priv;
 };
 
-/* Waits for one request (or any, id 0: its id is in result->id or *failed_id by airy_wait_any).
- * timeout_ms -1: for ever, 0: only look. 1: done, *out is the caller's to free; 0: time-out; -1: the
+/* Waits for one request (or any, id 0; airy_wait_any also tells which failed). Each request is reported
+ * once. timeout_ms -1: for ever, 0: only look. 1: done, *out is the caller's to free; 0: time-out; -1: the
  * request failed (or the connection), *e says how. */
-int airy_wait(struct airy *a, uint64_t id, int timeout_ms, struct airy_result **out,
+AIRY_API int airy_wait(struct airy *a, uint64_t id, int timeout_ms, struct airy_result **out,
               struct airy_error *e);
-/* The same for whichever request ends first; *id tells which (also on -1; 0: the connection). */
-int airy_wait_any(struct airy *a, int timeout_ms, uint64_t *id, struct airy_result **out,
+/* The same for whichever request ends first; *id tells which (also on -1; 0: the connection, or
+ * there is nothing to wait for). */
+AIRY_API int airy_wait_any(struct airy *a, int timeout_ms, uint64_t *id, struct airy_result **out,
                   struct airy_error *e);
-void airy_result_free(struct airy_result *r); /* NULL is fine */
+AIRY_API void airy_result_free(struct airy_result *r); /* NULL is fine */
 
 /* ---- status ------------------------------------------------------------------------------------ */
 
@@ -177,7 +203,8 @@ struct airy_status {
     struct airy_times mean_ms;
     bool draining;
 };
-int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct airy_error *e);
+/* Answered at any load, beside whatever is in flight. A time-out is a failure (-ETIMEDOUT). */
+AIRY_API int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct airy_error *e);
 
 #ifdef __cplusplus
 }

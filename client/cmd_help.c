@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+// cmd_help.c - the help texts. Options and parameters come from their tables, and so cannot be out of
+// date.
+#include <ctype.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "cmd.h"
+#include "cmd_bloom.h"
+
+enum { WIDTH = 79, INDENT = 26 };
+
+/* Text from column INDENT on, in lines of WIDTH; the first is begun already, at `column`. */
+static void wrap(const char *text, int column)
+{
+    if (column >= INDENT) {
+        putchar('\n');
+        column = 0;
+    }
+    printf("%*s", INDENT - column, "");
+    column = INDENT;
+    while (*text) {
+        int len = (int)strcspn(text, " ");
+        if (column > INDENT && column + 1 + len > WIDTH) {
+            printf("\n%*s", INDENT, "");
+            column = INDENT;
+        } else if (column > INDENT) {
+            putchar(' ');
+            column++;
+        }
+        printf("%.*s", len, text);
+        column += len;
+        text += len + (text[len] == ' ');
+    }
+    putchar('\n');
+}
+
+static void print_option(const struct option_row *r)
+{
+    char letter[8] = "    ";
+    if (r->letter)
+        snprintf(letter, sizeof(letter), "-%c, ", r->letter);
+    int column = printf("  %s--%s%s%s", letter, r->name, r->value ? " " : "", r->value ? r->value : "");
+    wrap(r->help, column);
+}
+
+/* The word of a CHOICE's default: BRIGHT_KNEE is "knee". */
+static const char *choice_word(const char *symbol, char *out, size_t size)
+{
+    const char *underscore = strrchr(symbol, '_');
+    snprintf(out, size, "%s", underscore ? underscore + 1 : symbol);
+    for (char *s = out; *s; s++)
+        *s = (char)tolower((unsigned char)*s);
+    return out;
+}
+
+static void print_params(void)
+{
+    char text[512], word[32];
+#define NUMBER(name, field, def, min, max, unit, help)                                                  \
+    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    snprintf(text, sizeof(text), "[%s; %s to %s; default %s]", unit, #min, #max, #def);                 \
+    wrap(text, 0);
+#define CHOICE(name, field, def, words, help)                                                           \
+    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    snprintf(text, sizeof(text), "[%s; default %s]", words, choice_word(#def, word, sizeof(word)));     \
+    wrap(text, 0);
+#define TEXT(name, field, def, help)                                                                    \
+    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    snprintf(text, sizeof(text), "[default %s]", def);                                                  \
+    wrap(text, 0);
+#include "params.def"
+#undef NUMBER
+#undef CHOICE
+#undef TEXT
+}
+
+static void help_all(void)
+{
+    puts("airy " AIRY_VERSION " - blooms HDR EXR frames, with airyd\n"
+         "\n"
+         "  airy bloom IN OUT                                        one frame\n"
+         "  airy bloom 'in.####.exr' -o 'out.####.exr' -f 1-100x2    a range, several in flight\n"
+         "  airy status [--json]                                     how a daemon is doing\n"
+         "  airy help bloom                                          every option and parameter\n"
+         "  airy --version\n"
+         "\n"
+         "With no daemon running, airy bloom starts a private one for its own life.");
+}
+
+static void help_bloom(void)
+{
+    puts("airy bloom IN OUT [options]\n"
+         "airy bloom 'in.####.exr' -o 'out.####.exr' [-f RANGE] [options]\n"
+         "\n"
+         "Adds a bloom to EXR frames. All else in the file stays as it is: other channels, parts,\n"
+         "attributes, windows. Each output appears whole or not at all. #### is the frame's number\n"
+         "(also #, @@@, %04d, $F4).\n"
+         "\n"
+         "Options:");
+    for (unsigned i = 0; i < BLOOM_PARAMS; i++)
+        print_option(&bloom_options[i]);
+    puts("\nParameters of the bloom:");
+    print_params();
+    puts("\nExit status: 0 all done; 2 usage; 3 input; 4 output; 5 may be tried again as it is; 1 "
+         "other.\n"
+         "See airy(1).");
+}
+
+static void help_status(void)
+{
+    puts("airy status [--socket PATH] [--json]\n"
+         "\n"
+         "Asks the daemon at PATH (default: $AIRY_SOCKET, $XDG_RUNTIME_DIR/airyd.sock,\n"
+         "/run/airyd/airyd.sock) for its device, its queue, its counts and its times.\n"
+         "\n"
+         "Exit status: 0 it answered; 5 none answers; 2 usage.");
+}
+
+enum cmd_exit cmd_help(int argc, char **argv)
+{
+    if (argc > 2) {
+        cmd_complain("help: one topic expected: bloom or status");
+        return CMD_USAGE;
+    }
+    if (argc < 2)
+        help_all();
+    else if (strcmp(argv[1], "bloom") == 0)
+        help_bloom();
+    else if (strcmp(argv[1], "status") == 0)
+        help_status();
+    else {
+        cmd_complain("help: no topic \"%s\"; there are bloom and status", argv[1]);
+        return CMD_USAGE;
+    }
+    return CMD_DONE;
+}

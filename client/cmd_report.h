@@ -1,0 +1,32 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * cmd_report.h - what became of a frame, for people (lines on stderr) and for programs (one JSON object
+ * a line on stdout; airy(1) lists its members).
+ */
+#ifndef AIRY_CMD_REPORT_H
+#define AIRY_CMD_REPORT_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "airy.h"
+#include "cmd.h"
+#include "progress.h"
+
+struct report_frame {
+    bool numbered; /* of a range */
+    int64_t number;
+    const char *input, *output;
+};
+
+void report_json_done(const struct report_frame *f, const struct airy_result *r, double write_ms);
+void report_json_error(const struct report_frame *f, const struct airy_error *e, enum cmd_exit exit);
+void report_json_status(const struct airy_status *s);
+
+/* A line per frame of a range; a paragraph for a single frame. */
+void report_line(struct progress *p, const struct report_frame *f, const struct airy_result *r);
+void report_paragraph(struct progress *p, const struct report_frame *f, const struct airy_result *r,
+                      double write_ms);
+void report_error(struct progress *p, const struct report_frame *f, const struct airy_error *e);
+
+#endif

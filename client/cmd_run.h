@@ -1,0 +1,37 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * cmd_run.h - carries frames through a daemon: several in flight, results written as they come, a bad
+ * frame reported and passed over, a lost daemon found or started again.
+ */
+#ifndef AIRY_CMD_RUN_H
+#define AIRY_CMD_RUN_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "cmd.h"
+#include "cmd_session.h"
+
+struct run_frame {
+    bool numbered;
+    int64_t number;
+    char *input, *output; /* owned by the list's owner */
+
+    enum { RUN_WAITING, RUN_IN_FLIGHT, RUN_ENDED } state;
+    uint64_t id;
+    unsigned tries;
+};
+
+struct run_options {
+    struct session_options session;
+    struct airy_request request; /* everything but the input */
+    unsigned jobs;
+    bool json, quiet, overwrite;
+};
+
+/* The exit status of the whole: that of the first frame that failed for good, else CMD_RETRY when any
+ * failed at all, else CMD_DONE. A request that no frame can satisfy (a parameter) ends the run. */
+enum cmd_exit run_frames(const struct run_options *o, struct run_frame *frames, size_t n);
+
+#endif

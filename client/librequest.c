@@ -1,0 +1,276 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// librequest.c - a struct airy_request as a BLOOM message, and its sending under the credits.
+#include "lib_internal.h"
+
+#include <errno.h>
+#include <fcntl.h>
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+int airy_request_param(struct airy_request *r, const char *name, const char *value, struct airy_error *e)
+{
+    struct airy_param *p = &r->params[r->n_params];
+    if (r->n_params >= AIRY_PARAMS_MAX)
+        return lib_fail(e, ENOSPC, "params", "a request has at most %d parameters", AIRY_PARAMS_MAX);
+    if (strlen(name) >= sizeof(p->name))
+        return lib_fail(e, ENAMETOOLONG, "params",
+                        "a parameter's name has %zu bytes, at most %zu are allowed", strlen(name),
+                        sizeof(p->name) - 1);
+    if (strlen(value) >= sizeof(p->value))
+        return lib_fail(e, EMSGSIZE, name, "the value of %s has %zu bytes, at most %zu are allowed",
+                        name, strlen(value), sizeof(p->value) - 1);
+    strcpy(p->name, name);
+    strcpy(p->value, value);
+    r->n_params++;
+    return 0;
+}
+
+int airy_memfd(uint64_t size, void **map, struct airy_error *e)
+{
+    if (!size || size > INT64_MAX || size > SIZE_MAX)
+        return lib_fail(e, EINVAL, "size", "a memfd of %" PRIu64 " bytes is not possible", size);
+    void *p = MAP_FAILED;
+    int fd = memfd_create("airy", MFD_CLOEXEC | MFD_ALLOW_SEALING);
+    if (fd < 0 || ftruncate(fd, (off_t)size) < 0)
+        goto fail;
+    p = mmap(NULL, (size_t)size, PROT_READ | PROT_WRITE, MAP_SHARED, fd, 0);
+    if (p == MAP_FAILED || fcntl(fd, F_ADD_SEALS, F_SEAL_SHRINK | F_SEAL_GROW | F_SEAL_SEAL) < 0)
+        goto fail;
+    *map = p;
+    return fd;
+fail:
+    lib_fail(e, errno, "size", "a memfd of %" PRIu64 " bytes: %s", size, strerror(errno));
+    if (p != MAP_FAILED)
+        munmap(p, (size_t)size);
+    if (fd >= 0)
+        close(fd);
+    return -1;
+}
+
+// What a submit puts together before it is queued.
+struct draft {
+    Airy__Bloom bloom;
+    Airy__Payload input;
+    Airy__Output output;
+    Airy__ExrOptions exr;
+    Airy__RawLayout raw;
+    Airy__Param params[AIRY_PARAMS_MAX], *param_list[AIRY_PARAMS_MAX];
+    Airy__RawChannel channels[AIRY_CHANNELS_MAX], *channel_list[AIRY_CHANNELS_MAX];
+    int fds[WIRE_FDS_MAX]; // the caller's
+    unsigned n_fds;
+};
+
+static char *text_or_empty(const char *s) { return (char *)(s ? s : ""); }
+
+static int draft_input(struct draft *d, const struct airy_request *r, struct airy_error *e)
+{
+    Airy__Payload *p = &d->input;
+    airy__payload__init(p);
+    d->bloom.input = p;
+    p->offset = r->offset;
+    p->size = r->size;
+    if (!r->data == (r->input_fd < 0))
+        return lib_fail(e, EINVAL, "input",
+                        "a request has exactly one of data and input_fd (start from AIRY_REQUEST_INIT)");
+    if (r->data) {
+        p->kind = AIRY__PAYLOAD__KIND__INLINE;
+        p->offset = 0;
+        return 0;
+    }
+    struct stat st;
+    if (fstat(r->input_fd, &st) < 0)
+        return lib_fail(e, errno, "input_fd", "descriptor %d: %s", r->input_fd, strerror(errno));
+    if (!S_ISREG(st.st_mode))
+        return lib_fail(e, EINVAL, "input_fd", "descriptor %d is neither a memfd nor a regular file",
+                        r->input_fd);
+    // What can be sealed is a memfd; the daemon judges its seals. Files of a tmpfs have F_SEAL_SEAL
+    // alone.
+    int seals = fcntl(r->input_fd, F_GET_SEALS);
+    bool memfd = seals >= 0 && seals != F_SEAL_SEAL;
+    p->kind = memfd ? AIRY__PAYLOAD__KIND__MEMFD : AIRY__PAYLOAD__KIND__FILE;
+    p->fd = d->n_fds;
+    d->fds[d->n_fds++] = r->input_fd;
+    if (p->size)
+        return 0;
+    if (r->offset >= (uint64_t)st.st_size)
+        return lib_fail(e, EINVAL, "offset",
+                        "offset %" PRIu64 " leaves nothing of the %" PRIu64 " bytes of descriptor %d",
+                        r->offset, (uint64_t)st.st_size, r->input_fd);
+    p->size = (uint64_t)st.st_size - r->offset;
+    return 0;
+}
+
+static int draft_raw(struct draft *d, const struct airy_request *r, struct airy_error *e)
+{
+    if (r->n_channels > AIRY_CHANNELS_MAX)
+        return lib_fail(e, EINVAL, "n_channels", "%u channels, at most %d are possible", r->n_channels,
+                        AIRY_CHANNELS_MAX);
+    airy__raw_layout__init(&d->raw);
+    d->raw.width = r->width;
+    d->raw.height = r->height;
+    d->raw.type = (Airy__PixelType)r->type;
+    d->raw.n_channels = r->n_channels;
+    d->raw.channels = d->channel_list;
+    for (unsigned i = 0; i < r->n_channels; i++) {
+        Airy__RawChannel *c = d->channel_list[i] = &d->channels[i];
+        airy__raw_channel__init(c);
+        c->name = text_or_empty(r->channels[i].name);
+        c->offset = r->channels[i].offset;
+        c->row_stride = r->channels[i].row_stride;
+        c->pixel_stride = r->channels[i].pixel_stride;
+    }
+    d->bloom.format_case = AIRY__BLOOM__FORMAT_RAW;
+    d->bloom.raw = &d->raw;
+    return 0;
+}
+
+static void draft_exr(struct draft *d, const struct airy_request *r)
+{
+    airy__exr_options__init(&d->exr);
+    d->exr.part = text_or_empty(r->part);
+    d->exr.layer = text_or_empty(r->layer);
+    d->exr.view = text_or_empty(r->view);
+    d->exr.pixels = text_or_empty(r->pixels);
+    d->exr.compression = text_or_empty(r->compression);
+    d->bloom.format_case = AIRY__BLOOM__FORMAT_EXR;
+    d->bloom.exr = &d->exr;
+}
+
+static int draft_output(struct draft *d, const struct airy_request *r, struct airy_error *e)
+{
+    Airy__Output *o = &d->output;
+    airy__output__init(o);
+    d->bloom.output = o;
+    o->kind = r->inline_output ? AIRY__OUTPUT__KIND__INLINE : AIRY__OUTPUT__KIND__MEMFD;
+    if (r->output_fd < 0)
+        return 0;
+    if (r->inline_output)
+        return lib_fail(e, EINVAL, "output_fd", "the output is either inline or in output_fd");
+    o->kind = AIRY__OUTPUT__KIND__BUFFER;
+    o->fd = d->n_fds;
+    o->offset = r->output_offset;
+    o->size = r->output_size;
+    d->fds[d->n_fds++] = r->output_fd;
+    return 0;
+}
+
+static int draft_make(struct draft *d, const struct airy_request *r, struct airy_error *e)
+{
+    airy__bloom__init(&d->bloom);
+    d->n_fds = 0;
+    if (r->n_params > AIRY_PARAMS_MAX)
+        return lib_fail(e, EINVAL, "n_params", "%u parameters, at most %d are possible", r->n_params,
+                        AIRY_PARAMS_MAX);
+    for (unsigned i = 0; i < r->n_params; i++) {
+        Airy__Param *p = d->param_list[i] = &d->params[i];
+        airy__param__init(p);
+        p->name = (char *)r->params[i].name;
+        p->value_case = AIRY__PARAM__VALUE_TEXT;
+        p->text = (char *)r->params[i].value;
+    }
+    d->bloom.params = d->param_list;
+    d->bloom.n_params = r->n_params;
+    d->bloom.progress = r->progress != NULL;
+    if (draft_input(d, r, e) < 0 || draft_output(d, r, e) < 0)
+        return -1;
+    if (r->width)
+        return draft_raw(d, r, e);
+    draft_exr(d, r);
+    return 0;
+}
+
+// Blocks until a request of this size may be sent.
+static int wait_for_credit(struct airy *a, uint64_t bytes, struct airy_error *e)
+{
+    if (bytes > a->limits.credit_bytes)
+        return lib_fail(e, EFBIG, "input.size",
+                        "the payload is %" PRIu64 " bytes, a connection may have %" PRIu64 " in flight",
+                        bytes, a->limits.credit_bytes);
+    lib_step(a);
+    while (a->conn &&
+           (a->credit_bytes < bytes || (a->open_count && a->open_count >= a->limits.max_requests)))
+        lib_step_until(a, -1);
+    if (!a->conn && e)
+        *e = a->lost;
+    return a->conn ? 0 : -1;
+}
+
+// Queues BLOOM with descriptors of the conn's own.
+static int queue_bloom(struct airy *a, uint64_t id, const struct draft *d, struct airy_error *e)
+{
+    int fds[WIRE_FDS_MAX];
+    unsigned n = 0;
+    int err = 0;
+    for (; n < d->n_fds && !err; n++)
+        if ((fds[n] = fcntl(d->fds[n], F_DUPFD_CLOEXEC, 0)) < 0) {
+            err = -errno;
+            break;
+        }
+    if (!err)
+        err = body_send(a->conn, WIRE_BLOOM, id, &d->bloom.base, fds, n);
+    if (!err)
+        return 0;
+    while (n)
+        close(fds[--n]);
+    return lib_fail(e, -err, "",
+                    err == -EMSGSIZE ? "the request's texts are longer than a message may be"
+                                     : "the request cannot be queued");
+}
+
+int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e)
+{
+    struct draft d;
+    if (draft_make(&d, r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
+        return -1;
+    struct request *request = calloc(1, sizeof(*request));
+    if (!request)
+        return lib_fail(e, ENOMEM, "", "no memory for a request");
+    request->airy = a;
+    request->id = a->next_id;
+    request->input_bytes = d.input.size;
+    request->output_kind = d.output.kind;
+    request->progress = r->progress;
+    request->progress_ctx = r->progress_ctx;
+    if (queue_bloom(a, request->id, &d, e) < 0) {
+        lib_request_free(request);
+        return -1;
+    }
+    a->next_id++;
+    a->credit_bytes -= d.input.size;
+    request->next = a->open;
+    a->open = request;
+    a->open_count++;
+    *id = request->id;
+    if (r->data) {
+        request->sending = true;
+        if (conn_send_data(a->conn, request->id, (const uint8_t *)r->data + r->offset, r->size,
+                           lib_request_sent, request) < 0) {
+            // BLOOM is on its way without its bytes: nothing on this connection can be relied on.
+            request->sending = false;
+            struct airy_error lost;
+            lib_fail(&lost, ENOMEM, "", "no memory to send a payload");
+            return lib_lose(a, &lost), 0;
+        }
+    }
+    lib_step(a);
+    return 0;
+}
+
+int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e)
+{
+    if (!a->conn) {
+        if (e)
+            *e = a->lost;
+        return -1;
+    }
+    int err = body_send(a->conn, WIRE_CANCEL, id, NULL, NULL, 0);
+    if (err)
+        return lib_fail(e, -err, "", "CANCEL: %s", strerror(-err));
+    return airy_pump(a, e);
+}
