@@ -1,1 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
+# One program a tests/test_<module>.c (cmocka), one script a tests/test_<name>.sh; both print TAP. `make check`
+# builds them three times (gcc, clang with ASan+UBSan, gcc with TSan), runs each where it means something, and ends in the
+# one line `N passed, N failed, N skipped`.
+
+T := $(BUILD)/tests
+TESTS := $(patsubst tests/%.c,$(T)/%,$(wildcard tests/test_*.c))
+TEST_LIBS = -Wl,--start-group $(ARCHIVES) -Wl,--end-group \
+	$(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) -lsystemd -lcmocka -lm
+
+$(T)/%.o $(BUILD)/tests/%.o: CPPFLAGS += -Itests -Itests/reference -Itests/tools
+
+# What a test needs besides the archives.
+$(T)/test_engine $(T)/test_reference: $(T)/reference/reference.o
+$(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_exr $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
+$(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad: $(T)/airy_peer.o
+
+# The device is the real one; only its loss is injected.
+$(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
+
+$(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(TEST_LIBS)
+
+.PHONY: tests check-built check
+tests: $(TESTS)
+
+# A make of its own, so that what deps has just installed is found; variants share nothing but the sources.
+check: deps
+	@$(MAKE) --no-print-directory check-built
+
+SUB = $(MAKE) --no-print-directory -j2
+check-built:
+	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan"
+	@$(SUB) all tests
+	@$(SUB) BUILD=$(BUILD)/asan CC=clang SAN=address,undefined all tests
+	@$(SUB) BUILD=$(BUILD)/tsan SAN=thread all tests
+	@BUILD=$(BUILD) bash tests/run.sh
+
+include tests/bench/bench.mk
