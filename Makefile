@@ -11,20 +11,20 @@ CC := gcc
 endif
 CXX := $(if $(findstring clang,$(CC)),clang++,g++)
 
-VERSION := 0.1.0
-
 # What a bare Debian 12 needs; installed by `make deps` (part of demo and check) when missing.
 PKGS_BUILD := gcc g++ pkg-config glslang-tools protobuf-c-compiler protobuf-compiler \
 	libvulkan-dev libopenexr-dev libdeflate-dev libprotobuf-c-dev libsystemd-dev libpng-dev libxxhash-dev
 PKGS_RUN := mesa-vulkan-drivers
-PKGS_TEST := libcmocka-dev vulkan-validationlayers openexr
+PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev
 
 WARN := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wformat=2
-OPT := -O2 -g
+# Sanitized code is not fast anyway: build it quickly. gcc sees null pointers in what UBSan adds to sprintf.
+OPT := $(if $(SAN),-O1 -g1,-O2 -g)
 CPPFLAGS := -D_GNU_SOURCE -DAIRY_BUILD -Iproto -Idaemon -Iclient -I$(BUILD)/gen
-SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-omit-frame-pointer)
+SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-omit-frame-pointer $(if $(findstring clang,$(CC)),,-Wno-format-overflow))
 CFLAGS += -std=c11 $(OPT) $(WARN) -fPIC -fvisibility=hidden -pthread -ffp-contract=off $(SANFLAGS)
-CXXFLAGS += -std=c++17 $(OPT) -Wall -Wextra -Werror -fPIC -fvisibility=hidden -pthread $(SANFLAGS)
+CXXFLAGS += -std=c++17 $(OPT) -Wall -Wextra -Werror -fPIC -fvisibility=hidden -pthread $(SANFLAGS) \
+	$(if $(SAN),-fno-sanitize=vptr)
 LDFLAGS += -pthread $(SANFLAGS)
 
 pkgcflags = $(shell pkg-config --cflags $(1) 2>/dev/null | sed 's/-I/-isystem /g')
@@ -38,15 +38,19 @@ ROOM_proto := $(wildcard proto/*.c)
 ROOM_exr := $(wildcard daemon/exr*.c) daemon/frame.c
 ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c) daemon/plan.c daemon/psf.c
 ROOM_params := daemon/params.c
-ROOM_server := $(wildcard daemon/server.c daemon/client.c daemon/job.c daemon/sched.c daemon/metrics.c)
+ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
 ROOM_client := $(wildcard client/lib*.c)
 
 obj = $(patsubst %.c,$(BUILD)/%.o,$(1))
 PROTO_GEN := $(BUILD)/gen/airy.pb-c.c
 ARCHIVES := $(foreach r,proto exr engine params server client,$(BUILD)/$(r).a)
 
+# `make V=1` shows the commands.
+Q := $(if $(V),,@)
+say = $(if $(V),,@echo "  $(1)")
+
 .DEFAULT_GOAL := help
-.PHONY: help all deps demo check bench clean format
+.PHONY: help all deps install clean format
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -75,24 +79,28 @@ all: $(BUILD)/airyd $(BUILD)/airy $(BUILD)/libairy.so $(BUILD)/libairy.a $(BUILD
 # ---- generated: protobuf bodies, SPIR-V ---------------------------------------------------------
 $(BUILD)/gen/airy.pb-c.c $(BUILD)/gen/airy.pb-c.h &: proto/airy.proto
 	@mkdir -p $(BUILD)/gen
-	protoc-c --proto_path=proto --c_out=$(BUILD)/gen proto/airy.proto
+	$(call say,PROTOC $<)
+	$(Q)protoc-c --proto_path=proto --c_out=$(BUILD)/gen proto/airy.proto
 
 include shaders/shaders.mk
 
 # ---- compile --------------------------------------------------------------------------------------
 $(BUILD)/%.o: %.c | $(BUILD)/gen/airy.pb-c.h $(SPIRV)
 	@mkdir -p $(@D)
-	$(CC) $(CPPFLAGS) $(CFLAGS) -MMD -MP -c $< -o $@
+	$(call say,CC $@)
+	$(Q)$(CC) $(CPPFLAGS) $(CFLAGS) -MMD -MP -c $< -o $@
 
 $(BUILD)/%.o: %.cc
 	@mkdir -p $(@D)
-	$(CXX) $(CPPFLAGS) $(CXXFLAGS) -MMD -MP -c $< -o $@
+	$(call say,CXX $@)
+	$(Q)$(CXX) $(CPPFLAGS) $(CXXFLAGS) -MMD -MP -c $< -o $@
 
 $(BUILD)/gen/airy.pb-c.o: $(BUILD)/gen/airy.pb-c.c
-	$(CC) $(CPPFLAGS) -std=c11 $(OPT) -fPIC -fvisibility=hidden $(SANFLAGS) -c $< -o $@
+	$(call say,CC $@)
+	$(Q)$(CC) $(CPPFLAGS) -std=c11 $(OPT) -fPIC -fvisibility=hidden $(SANFLAGS) -c $< -o $@
 
 # Pixel loops that the compiler vectorises.
-$(BUILD)/daemon/frame.o $(BUILD)/daemon/exr_zip.o: CFLAGS += -O3
+$(BUILD)/daemon/frame.o $(BUILD)/daemon/exr_zip.o $(BUILD)/daemon/exr_encode.o: CFLAGS += $(if $(SAN),,-O3)
 
 $(BUILD)/proto.a: $(call obj,$(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 $(BUILD)/exr.a: $(call obj,$(ROOM_exr)) $(patsubst %.cc,$(BUILD)/%.o,$(wildcard daemon/exr*.cc))
@@ -102,24 +110,45 @@ $(BUILD)/server.a: $(call obj,$(ROOM_server))
 $(BUILD)/client.a: $(call obj,$(ROOM_client))
 $(ARCHIVES):
 	@rm -f $@
-	ar rcs $@ $^
+	$(Q)ar rcs $@ $^
 
 DAEMON_LIBS := $(BUILD)/server.a $(BUILD)/engine.a $(BUILD)/exr.a $(BUILD)/params.a $(BUILD)/proto.a
 $(BUILD)/airyd: $(BUILD)/daemon/main.o $(DAEMON_LIBS)
-	$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) -lsystemd -lm
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) -lsystemd -lm
 
 $(BUILD)/libairy.a: $(call obj,$(ROOM_client) $(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 	@rm -f $@
-	ar rcs $@ $^
+	$(Q)ar rcs $@ $^
 $(BUILD)/libairy.so: $(call obj,$(ROOM_client) $(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
-	$(CC) $(LDFLAGS) -shared -Wl,-soname,libairy.so.0 $^ -o $@ $(LIBS_PROTO)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) -shared -Wl,-soname,libairy.so.0 $^ -o $@ $(LIBS_PROTO)
 $(BUILD)/airy.h: client/airy.h
 	@mkdir -p $(@D)
-	cp $< $@
+	$(Q)cp $< $@
 
 -include $(shell find $(BUILD) -name '*.d' 2>/dev/null)
 
 include client/client.mk tests/tests.mk
+
+# ---- install ----------------------------------------------------------------------------------------
+PREFIX ?= /usr/local
+DESTDIR ?=
+install: all
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/lib $(DESTDIR)$(PREFIX)/include \
+	  $(DESTDIR)$(PREFIX)/share/man/man1 $(DESTDIR)$(PREFIX)/share/man/man7 $(DESTDIR)$(PREFIX)/share/man/man8 \
+	  $(DESTDIR)$(PREFIX)/share/doc/airyd $(DESTDIR)$(PREFIX)/lib/systemd/system
+	install -m 755 $(BUILD)/airyd $(BUILD)/airy $(DESTDIR)$(PREFIX)/bin/
+	install -m 755 $(BUILD)/libairy.so $(DESTDIR)$(PREFIX)/lib/libairy.so.0
+	ln -sf libairy.so.0 $(DESTDIR)$(PREFIX)/lib/libairy.so
+	install -m 644 $(BUILD)/libairy.a $(DESTDIR)$(PREFIX)/lib/
+	install -m 644 client/airy.h $(DESTDIR)$(PREFIX)/include/
+	install -m 644 client/airy.1 $(DESTDIR)$(PREFIX)/share/man/man1/
+	install -m 644 proto/airy_proto.7 $(DESTDIR)$(PREFIX)/share/man/man7/
+	install -m 644 daemon/airyd.8 $(DESTDIR)$(PREFIX)/share/man/man8/
+	install -m 644 proto/PROTOCOL.md proto/airy.proto $(DESTDIR)$(PREFIX)/share/doc/airyd/
+	sed 's|/usr/local/bin|$(PREFIX)/bin|' systemd/airyd.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/airyd.service
+	install -m 644 systemd/airyd.socket $(DESTDIR)$(PREFIX)/lib/systemd/system/
 
 clean:
 	rm -rf $(BUILD)
