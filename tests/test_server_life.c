@@ -454,7 +454,7 @@ static void test_socket_path(void **state)
     struct daemon next = d;
     next.pid = fork();
     if (next.pid == 0)
-        daemon_exec(options, NULL);
+        daemon_exec((const char *const[]){ "--warm", "common", NULL }, options);
     a = NULL;
     for (int i = 0; !a && i < 6000; i++) {
         struct airy_error e;
@@ -507,7 +507,7 @@ static void test_systemd(void **state)
             fcntl(3, F_SETFD, 0);
         else
             dup2(listening, 3);
-        daemon_exec(NULL, NULL);
+        daemon_exec((const char *const[]){ "--warm", "common", NULL }, NULL);
     }
     struct airy *a = join(&d); // connects at once, is answered when it is ready
     char text[64] = "";
