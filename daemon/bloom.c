@@ -326,7 +326,7 @@ static bool same_spec(const struct psf_spec *a, const struct psf_spec *b)
 {
     bool same = a->count == b->count;
     for (unsigned i = 0; same && i < a->count; i++)
-        same = a->gaussian[i].sigma == b->gaussian[i].sigma && a->gaussian[i].percent == b->gaussian[i].percent &&
+        same = a->gaussian[i].sigma.value == b->gaussian[i].sigma.value && a->gaussian[i].sigma.unit == b->gaussian[i].sigma.unit &&
                a->gaussian[i].weight == b->gaussian[i].weight;
     return same;
 }

@@ -48,40 +48,74 @@ void bloom_list_devices(void (*print)(const char *line));
 
 struct bloom_slot *bloom_slot(struct bloom *b, unsigned i);
 
+enum { BLOOM_TARGETS_MAX = 16, BLOOM_OUTPUTS_MAX = 1 + PARAMS_LAYERS_MAX };
+
 struct bloom_geometry {
     uint32_t width, height;
     unsigned channels;      /* 1 or 3 */
     enum pixel_type type;   /* HALF or FLOAT */
+    uint32_t grow;          /* pixels: the output planes are this much larger on each side */
+    unsigned outputs;       /* 1 + extra layers; 0: only read (a glow source, matte or depth) */
 };
 
-enum { BLOOM_TARGETS_MAX = 16 };
+static inline bool bloom_geometry_same(const struct bloom_geometry *a, const struct bloom_geometry *b)
+{
+    return a->width == b->width && a->height == b->height && a->channels == b->channels && a->type == b->type &&
+           a->grow == b->grow && a->outputs == b->outputs;
+}
 
 /* Makes room for a job's targets; memory only grows, and nothing is allocated when the same
- * geometry comes again. in[i] and out[i] receive the planes. */
+ * geometry comes again. in[i] receives the input planes, out[i * BLOOM_OUTPUTS_MAX + k] the k-th output's:
+ * 0 the picture, then the extra layers. */
 int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
                        const struct bloom_geometry *geometry, struct planes *in, struct planes *out,
                        struct fault *f);
 
+/* An image that a request names by digest: lens dirt, or a kernel. Plain rows of interleaved R G B floats,
+ * all finite, >= 0; the owner keeps it unchanged until bloom_run returns. */
+struct bloom_image {
+    uint32_t width, height;
+    const float *rgb;
+    char digest[33];
+};
+
 struct bloom_request {
     const struct params *params;
-    const struct frame_scan *scan; /* of the input planes */
+    const struct frame_scan *scan; /* of the target's input planes */
+    /* Other targets of the slot, of the same width and height, -1: none. */
+    int source;                    /* its light glows; with the scan of its planes */
+    const struct frame_scan *source_scan;
+    int matte;                     /* 1 channel */
+    int depth;                     /* 1 channel, FLOAT: for the sun of look mip-chain */
+    const struct bloom_image *dirt, *kernel; /* NULL: none */
     float luma[3];
     float pixel_aspect;            /* width of a pixel over its height; > 0 */
+    uint32_t display_width;        /* of the display window, for sizes in mm; 0: the target's width */
 };
 
 struct bloom_reply {
     bool untouched;       /* no glow at all: the output planes were not written */
     char plan[512];       /* for people */
-    char rule[8];
+    char skipped[256];    /* what was not done, and why */
+    char rule[8];         /* "R3"; "fft"; a look's name, cut; "-" */
+    char storage[8];      /* "float", "half" */
     unsigned levels;
-    double error_bound;   /* of intensity * max E, every pixel; rule + rounding */
+    double error_bound;   /* of intensity * max E, every pixel; rule + rounding + storage + skipped */
     double max_bright;    /* upper bound of E from the scan */
+    double exposure;      /* stops in use */
     double energy_bright, energy_bloomed, energy_lost;
+    double energy_clamped, energy_suppressed; /* of E, taken by clamp and by firefly */
     uint64_t saturated;   /* samples held at the output type's largest value; counted by the encoder
                              for HALF, here for nothing yet */
     uint32_t tiles, tiles_bright;
     double device_ms;
+    double predicted_ms;  /* by the cost model measured at the device's start */
 };
+
+/* What would run for such a frame, without running: fills plan, rule, storage, levels, error_bound (filters, rounding
+ * and storage), predicted_ms. */
+int bloom_plan(struct bloom *b, const struct bloom_geometry *geometry, const struct bloom_request *request,
+               struct bloom_reply *reply, struct fault *f);
 
 /* Blooms one target of the slot. 0, or -1 and *f (FAULT_DEVICE_LOST: the whole struct bloom is to be
  * thrown away). */

@@ -28,7 +28,7 @@ static double expected(const struct params *p, int x, int y, unsigned channel)
     for (unsigned i = 0; i < POINTS; i++) {
         const double e = points[i].value * (channel + 1) - p->threshold;
         for (unsigned g = 0; g < p->psf_spec.count; g++) {
-            const double s = p->psf_spec.gaussian[g].sigma, n = normal(s);
+            const double s = p->psf_spec.gaussian[g].sigma.value, n = normal(s);
             const double dx = x - points[i].x, dy = y - points[i].y;
             sum += p->psf_spec.gaussian[g].weight * e * exp(-(dx * dx + dy * dy) / (2 * s * s)) / (n * n);
         }
@@ -96,7 +96,7 @@ static int one(struct bloom *b, unsigned channels, enum pixel_type type, const c
     p.tolerance = tolerance;
     if (params_set_text(&p, "psf", psf, f) < 0)
         return -1;
-    const struct bloom_geometry g = { SIZE, SIZE, channels, type };
+    const struct bloom_geometry g = { SIZE, SIZE, channels, type, 0, 1 };
     struct planes in, out;
     struct frame_scan scan;
     if (bloom_slot_prepare(b, &b->slot[0], 1, &g, &in, &out, f) < 0)
@@ -165,7 +165,7 @@ static int warm_all(struct bloom *b, struct fault *f)
         { "gaussians:sigma=4/7/32/33/60/61,weight=.1", 1e-5 },
         { "gaussians:sigma=4/59,weight=1", 1e-5 },
     };
-    const struct bloom_geometry any = { 4, 4, 3, PIXEL_TYPE_HALF };
+    const struct bloom_geometry any = { 4, 4, 3, PIXEL_TYPE_HALF, 0, 1 };
     for (unsigned i = 0; i < sizeof(rest) / sizeof(rest[0]); i++)
         if (warm(b, &any, BRIGHT_KNEE, rest[i].psf, rest[i].tolerance, f) < 0)
             return -1;
@@ -173,7 +173,7 @@ static int warm_all(struct bloom *b, struct fault *f)
         for (unsigned channels = 1; channels <= 3; channels += 2)
             for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++)
                 for (int curve = BRIGHT_NONE; curve <= BRIGHT_SMOOTHSTEP; curve++) {
-                    const struct bloom_geometry g = { 4, 4, channels, (enum pixel_type)type };
+                    const struct bloom_geometry g = { 4, 4, channels, (enum pixel_type)type, 0, 1 };
                     if (warm(b, &g, (enum bright_curve)curve, plans[i].psf, plans[i].tolerance, f) < 0)
                         return -1;
                 }
@@ -190,7 +190,7 @@ int bloom_self_test(struct bloom *b, bool all, struct fault *f)
         return -1;
     // The default curve at the default look's first octave.
     for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++) {
-        const struct bloom_geometry g = { 4, 4, 3, (enum pixel_type)type };
+        const struct bloom_geometry g = { 4, 4, 3, (enum pixel_type)type, 0, 1 };
         if (warm(b, &g, BRIGHT_KNEE, wide, 1e-3, f) < 0)
             return -1;
     }

@@ -136,12 +136,9 @@ static bool same_geometry(const struct bloom_slot *s, unsigned count, const stru
 {
     if (s->count != count)
         return false;
-    for (unsigned i = 0; i < count; i++) {
-        const struct bloom_geometry *h = &s->target[i].geometry;
-        if (h->width != g[i].width || h->height != g[i].height || h->channels != g[i].channels ||
-            h->type != g[i].type)
+    for (unsigned i = 0; i < count; i++)
+        if (!bloom_geometry_same(&s->target[i].geometry, &g[i]))
             return false;
-    }
     return true;
 }
 
@@ -221,6 +218,6 @@ int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
         }
     }
     for (unsigned i = 0; i < count; i++)
-        describe(b, s, &s->target[i], &in[i], &out[i]);
+        describe(b, s, &s->target[i], &in[i], &out[(size_t)i * BLOOM_OUTPUTS_MAX]);
     return 0;
 }

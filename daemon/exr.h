@@ -34,6 +34,11 @@ struct exr_select {
     const char *part;  /* NULL or "": every part that has the layer; else number or name */
     const char *layer; /* NULL or "": unprefixed R,G,B (else Y, or Y RY BY) of each view; else prefix */
     const char *view;  /* NULL or "": all views; else one name of multiView / the part's view */
+    /* What the glow needs beside the layer, of the same part (or one with the same data window): NULL or "":
+     * nothing. Each becomes a target that is only read. */
+    const char *source; /* a layer with the same channels */
+    const char *matte;  /* a channel's full name */
+    bool depth;         /* channel Z, when there is one */
 };
 
 enum exr_compression { /* the file format's numbers */
@@ -48,9 +53,16 @@ struct exr_options {
     int compression;        /* enum exr_compression */
     enum exr_pixels pixels; /* of the bloomed channels in the output */
     const char *stamp;      /* value of the added string attribute "airy"; NULL adds none */
+    unsigned extras;        /* layers that the parts of scene targets get: "airy.<name>.R" ... beside R, G, B; in
+                               a layer or view "X.", "X.airy.<name>.R" */
+    const char *extra_name[7]; /* the caller's, until exr_close */
 };
 
+enum exr_role { EXR_SCENE, EXR_SOURCE, EXR_MATTE, EXR_DEPTH };
+
 struct exr_target {
+    enum exr_role role;  /* EXR_SCENE is bloomed and written; the others are only read */
+    int source, matte, depth; /* of a scene: indices of its other targets, -1: none */
     char name[256];      /* "beauty", "part 1 (right)", "left" ...: for people */
     unsigned part;
     int32_t min_x, min_y; /* data window's corner */
@@ -60,6 +72,9 @@ struct exr_target {
                              subsampled or recombined from luminance-chroma; else FLOAT */
     float luma[3];       /* relative luminance weights from chromaticities, else Rec.709 */
     float pixel_aspect;
+    uint32_t display_width; /* of the display window */
+    uint32_t grow;       /* set by the caller after exr_open, before exr_bind: pixels by which the data window of the
+                            target's part grows on each side; equal for all targets of a part */
     struct frame_scan scan; /* filled by decode tasks */
 };
 
@@ -74,8 +89,8 @@ void exr_close(struct exr *x); /* NULL is fine */
 unsigned exr_target_count(const struct exr *x);
 struct exr_target *exr_target(struct exr *x, unsigned i);
 
-/* in: planes of the target's size and type, zero beyond the width; out: same geometry, read by the
- * encode tasks. out->type may be FLOAT where in is HALF (saturation is then counted here). Both stay
+/* in: planes of the target's size and type, zero beyond the width; out: 1 + extras of them (NULL where the target
+ * is only read), same geometry plus grow on each side, read by the encode tasks. out->type may be FLOAT where in is HALF (saturation is then counted here). Both stay
  * as they are from the bloom to the last encode task: luminance-chroma compares them. */
 void exr_bind(struct exr *x, unsigned target, const struct planes *in, const struct planes *out);
 

@@ -137,12 +137,13 @@ static int job_open(struct job *j, struct fault *f)
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX])
 {
     if (j->raw) {
-        g[0] = (struct bloom_geometry){ j->layout.width, j->layout.height, j->layout.planes, j->layout.type };
+        g[0] = (struct bloom_geometry){ j->layout.width, j->layout.height, j->layout.planes, j->layout.type, 0, 1 };
         return 1;
     }
     for (unsigned i = 0; i < j->n_targets; i++) {
         const struct exr_target *t = exr_target(j->exr, i);
-        g[i] = (struct bloom_geometry){ t->width, t->height, t->channels, t->type };
+        g[i] = (struct bloom_geometry){ t->width, t->height, t->channels, t->type, t->grow,
+                                         t->role == EXR_SCENE ? 1 + j->params.layer_count : 0 };
     }
     return j->n_targets;
 }
@@ -155,7 +156,7 @@ void job_bind(struct job *j, const struct planes *in, const struct planes *out)
         return;
     }
     for (unsigned i = 0; i < j->n_targets; i++)
-        exr_bind(j->exr, i, &in[i], &out[i]);
+        exr_bind(j->exr, i, &in[i], &out[(size_t)i * BLOOM_OUTPUTS_MAX]);
 }
 
 // ---- BLOOM ---------------------------------------------------------------------------------------
@@ -220,7 +221,7 @@ static int bloom_target(struct job *j, unsigned i, struct bloom *b, struct bloom
     count_samples(out, scan);
     if (j->params.nonfinite == NONFINITE_REJECT && reject_nonfinite(out, f) < 0)
         return -1;
-    struct bloom_request request = { .params = &j->params, .scan = scan, .pixel_aspect = 1 };
+    struct bloom_request request = { .params = &j->params, .scan = scan, .pixel_aspect = 1, .source = -1, .matte = -1, .depth = -1 };
     memcpy(request.luma, t ? t->luma : luma_of(j), sizeof request.luma);
     if (t)
         request.pixel_aspect = t->pixel_aspect;

@@ -207,8 +207,7 @@ static int sigma_read(struct psf_gaussian *g, const char *text, const char *s, s
                          "a sigma from 0.001% to 100% of the diagonal expected");
     if (!percent && !(v >= sigma_pixels_min && v <= sigma_pixels_max))
         return psf_fault(f, FAULT_PARAM_RANGE, text, s, len, "a sigma from 0.1 to 4096 pixels expected");
-    g->sigma = v;
-    g->percent = percent;
+    g->sigma = (struct size){ v, percent ? SIZE_PERCENT : SIZE_PIXELS };
     return 0;
 }
 
@@ -279,6 +278,8 @@ static int psf_read(struct psf_spec *out, const char *text, struct fault *f)
     for (unsigned i = 0; i < l.sigmas; i++) {
         out->gaussian[i] = l.g[i];
         out->gaussian[i].weight = l.g[l.weights == 1 ? 0 : i].weight;
+        for (unsigned c = 0; c < 3; c++)
+            out->gaussian[i].tint[c] = 1;
     }
     return 0;
 }
@@ -298,8 +299,8 @@ static size_t psf_print(const struct psf_spec *s, char *out, size_t size)
     append(out, size, &used, "gaussians:sigma=");
     for (unsigned i = 0; i < s->count; i++) {
         append(out, size, &used, i ? "/" : "");
-        append(out, size, &used, number_print(s->gaussian[i].sigma).s);
-        append(out, size, &used, s->gaussian[i].percent ? "%" : "");
+        append(out, size, &used, number_print(s->gaussian[i].sigma.value).s);
+        append(out, size, &used, s->gaussian[i].sigma.unit == SIZE_PERCENT ? "%" : "");
         same = same && s->gaussian[i].weight == s->gaussian[0].weight;
     }
     append(out, size, &used, ",weight=");
@@ -357,7 +358,10 @@ int params_set_text(struct params *p, const char *name, const char *text, struct
     case KIND_CHOICE:
         return choice_set(p, r, text, f);
     case KIND_TEXT:
-        return psf_set(p, text, f);
+        if (r->offset == offsetof(struct params, psf))
+            return psf_set(p, text, f);
+        snprintf(field_of(p, r), PARAMS_TEXT_MAX, "%s", text);
+        return 0;
     }
     return -1;
 }
@@ -429,4 +433,23 @@ int params_print(const struct params *p, char *out, size_t size)
         append(out, size, &used, value);
     }
     return (int)used;
+}
+
+double params_pixels(const struct params *p, const struct size *s, uint32_t width, uint32_t height,
+                     uint32_t display_width, double pixel_aspect)
+{
+    switch (s->unit) {
+    case SIZE_PERCENT: return s->value / 100 * hypot(width * pixel_aspect, height);
+    case SIZE_MM: return s->value / p->sensor_mm * display_width * pixel_aspect;
+    default: return s->value;
+    }
+}
+
+void params_view_name(const struct view_spec *v, char out[32])
+{
+    static const char *const names[] = { "final", "source", "bright", "bloom", "level", "residual" };
+    if (v->view == VIEW_LEVEL)
+        snprintf(out, 32, "level.%u", v->level);
+    else
+        snprintf(out, 32, "%s", names[v->view]);
 }

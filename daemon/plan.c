@@ -164,11 +164,10 @@ static void count_cost(struct plan *p)
 static int set_sizes(struct plan *p, const struct params *params, uint32_t width, uint32_t height,
                      double aspect, struct fault *f)
 {
-    const double diagonal = hypot(width * aspect, height);
     const struct psf_spec *spec = &params->psf_spec;
     for (unsigned i = 0; i < spec->count; i++) {
         const struct psf_gaussian *s = &spec->gaussian[i];
-        const double sigma = s->percent ? s->sigma / 100 * diagonal : s->sigma;
+        const double sigma = params_pixels(params, &s->sigma, width, height, width, aspect);
         if (s->weight == 0)
             continue;
         struct plan_gaussian *g = &p->gaussian[p->count++];
@@ -178,7 +177,7 @@ static int set_sizes(struct plan *p, const struct params *params, uint32_t width
         g->sigma_y = fmax(g->sigma_y, SIGMA_MIN);
         if (fmax(g->sigma_x, g->sigma_y) > SIGMA_MAX)
             return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
-                             "sigma %g of this frame is %g px: at most %g px expected", s->sigma,
+                             "sigma %g of this frame is %g px: at most %g px expected", s->sigma.value,
                              fmax(g->sigma_x, g->sigma_y), SIGMA_MAX);
         p->weight_sum += s->weight;
     }

@@ -37,8 +37,7 @@ static bool same_geometry(const struct sched_slot *slot, unsigned count, const s
     if (!slot->prepared || slot->count != count)
         return false;
     for (unsigned i = 0; i < count; i++)
-        if (g[i].width != slot->geometry[i].width || g[i].height != slot->geometry[i].height ||
-            g[i].channels != slot->geometry[i].channels || g[i].type != slot->geometry[i].type)
+        if (!bloom_geometry_same(&g[i], &slot->geometry[i]))
             return false;
     return true;
 }

@@ -25,7 +25,7 @@ struct sched_slot {
     bool prepared;
     unsigned count;
     struct bloom_geometry geometry[BLOOM_TARGETS_MAX];
-    struct planes in[BLOOM_TARGETS_MAX], out[BLOOM_TARGETS_MAX];
+    struct planes in[BLOOM_TARGETS_MAX], out[BLOOM_TARGETS_MAX * BLOOM_OUTPUTS_MAX];
 };
 
 struct sched {

@@ -122,7 +122,7 @@ static void get(struct scene *s, unsigned c, unsigned y)
 
 static void scene_load(struct scene *s, struct bloom *b, unsigned slot)
 {
-    const struct bloom_geometry g = { s->width, s->height, s->channels, s->type };
+    const struct bloom_geometry g = { s->width, s->height, s->channels, s->type, 0, 1 };
     struct fault f = { 0 };
     if (bloom_slot_prepare(b, bloom_slot(b, slot), 1, &g, &s->in_planes, &s->out_planes, &f) < 0)
         fail_msg("%s", f.text);

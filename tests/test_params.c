@@ -139,10 +139,10 @@ static void test_psf(void **state)
     assert_int_equal(params_set_text(&p, "psf", "gaussians:sigma=4/8/16,weight=.2/.3/.4", NULL), 0);
     assert_string_equal(p.psf, "gaussians:sigma=4/8/16,weight=0.2/0.3/0.4");
     assert_int_equal(p.psf_spec.count, 3);
-    assert_true(p.psf_spec.gaussian[1].sigma == 8 && p.psf_spec.gaussian[1].weight == .3);
+    assert_true(p.psf_spec.gaussian[1].sigma.value == 8 && p.psf_spec.gaussian[1].weight == .3);
     assert_int_equal(params_set_text(&p, "psf", "gaussians:weight=2e-1,sigma=4/0.5%", NULL), 0);
     assert_string_equal(p.psf, "gaussians:sigma=4/0.5%,weight=0.2");
-    assert_true(!p.psf_spec.gaussian[0].percent && p.psf_spec.gaussian[1].percent);
+    assert_true(p.psf_spec.gaussian[0].sigma.unit == SIZE_PIXELS && p.psf_spec.gaussian[1].sigma.unit == SIZE_PERCENT);
     assert_true(p.psf_spec.gaussian[1].weight == .2);
 
     static const struct {

@@ -302,7 +302,7 @@ static void test_aspect(void **state)
 {
     (void)state;
     struct reference_frame f = { .width = 400, .height = 300, .pixel_aspect = 1 };
-    struct psf_gaussian pixels = { 8, false, 1 }, percent = { 2, true, 1 };
+    struct psf_gaussian pixels = { { 8, SIZE_PIXELS }, 1, { 1, 1, 1 } }, percent = { { 2, SIZE_PERCENT }, 1, { 1, 1, 1 } };
     double x, y;
     reference_sigma(&x, &y, &percent, &f);
     near_to(x, 10, 1e-14, "x");

@@ -71,7 +71,7 @@ static void side_init(struct side *s, struct bench *b, const struct bench_frame 
                       enum pixel_type type)
 {
     const struct planes *from = type == PIXEL_TYPE_HALF ? &f->in_half : &f->in_float;
-    const struct bloom_geometry g = { f->width, f->height, 3, type };
+    const struct bloom_geometry g = { f->width, f->height, 3, type, 0, 1 };
     struct fault fault;
     *s = (struct side){ .type = type };
     if (bloom_slot_prepare(b->engine, bloom_slot(b->engine, slot), 1, &g, &s->in, &s->out, &fault) < 0)

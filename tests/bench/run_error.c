@@ -50,7 +50,7 @@ static void job_init(struct point_job *j, struct bench *b, double sigma, double 
     j->gauss = take(j->side, sizeof(double));
     for (uint32_t x = 0; x < j->side; x++)
         j->gauss[x] = exp(-(double)x * x / (2 * sigma * sigma)) / j->norm;
-    const struct bloom_geometry g = { j->side, j->side, 1, PIXEL_TYPE_FLOAT };
+    const struct bloom_geometry g = { j->side, j->side, 1, PIXEL_TYPE_FLOAT, 0, 1 };
     if (bloom_slot_prepare(b->engine, bloom_slot(b->engine, 0), 1, &g, &j->in, &j->out, &f) < 0)
         die("%s", f.text);
     for (uint32_t y = 0; y < j->side; y++)

@@ -67,7 +67,7 @@ void reference_bright(double e[3], const double pixel[3], unsigned channels, con
 void reference_sigma(double *x, double *y, const struct psf_gaussian *g, const struct reference_frame *f)
 {
     double diagonal = hypot(f->width * f->pixel_aspect, f->height);
-    *y = g->percent ? g->sigma / 100 * diagonal : g->sigma;
+    *y = g->sigma.unit == SIZE_PERCENT ? g->sigma.value / 100 * diagonal : g->sigma.value;
     *x = *y / f->pixel_aspect;
 }
 
