@@ -21,6 +21,7 @@ struct bloom_slot;
 struct bloom_options {
     const char *device;  /* NULL or "": best; "cpu", "gpu", an index, or part of a name */
     unsigned slots;      /* frames that can be in the pipeline at once, 1..8 */
+    unsigned threads;    /* for what the host does of a frame's bloom (FFT); 0: 2 */
     bool validate;       /* Vulkan validation with synchronisation validation; any message is counted */
     bool warm_all;       /* draw with every pipeline at start, not only with those of common requests: some
                             20 s when the driver has none of them in its cache, 2 s when it has */
@@ -86,6 +87,7 @@ struct bloom_request {
     int source;                    /* its light glows; with the scan of its planes */
     const struct frame_scan *source_scan;
     int matte;                     /* 1 channel */
+    const struct frame_scan *matte_scan;
     int depth;                     /* 1 channel, FLOAT: for the sun of look mip-chain */
     const struct bloom_image *dirt, *kernel; /* NULL: none */
     float luma[3];

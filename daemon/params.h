@@ -98,6 +98,8 @@ void params_init(struct params *p);
  * field "params.<name>", the value and the range. *p is untouched on failure. */
 int params_set_text(struct params *p, const char *name, const char *text, struct fault *f);
 int params_set_number(struct params *p, const char *name, double value, struct fault *f);
+/* Was it set, not defaulted? name is one of the table's. */
+bool params_given(const struct params *p, const char *name);
 /* Contradictions between parameters. */
 int params_check(const struct params *p, struct fault *f);
 /* One line that says every parameter that has a meaning, "name=value" in the table's order, numbers with

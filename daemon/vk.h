@@ -164,6 +164,7 @@ struct vk_draw {
     VkRect2D area;                         /* of the attachments; nothing outside is written */
     unsigned bands;                        /* > 1: the area is drawn in so many bands of equal height, and
                                               band i finds in[i] where a single band finds in[0] */
+    bool all_planes;                       /* but every band finds all of in[] */
     VkBuffer uniforms;
     VkDeviceSize uniforms_offset, uniforms_bytes;
 };

@@ -347,7 +347,7 @@ static void push_bindings(struct vk_commands *c, const struct vk_draw *d, unsign
     if (d->in[0]) {
         const VkDescriptorImageInfo *first = &w.image[w.images];
         for (unsigned i = 0; i < VK_PLANES; i++)
-            w.image[w.images++] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, d->in[d->bands > 1 ? band : i]->view,
+            w.image[w.images++] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, d->in[d->bands > 1 && !d->all_planes ? band : i]->view,
                                                            VK_IMAGE_LAYOUT_GENERAL };
         w.set[w.sets++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
                                                   .dstBinding = 2,
