@@ -77,7 +77,7 @@ static int plan_for_budget(struct bloom *b, struct plan *out, const struct param
                            const struct bloom_geometry *g, struct fault *f)
 {
     static const double tolerances[] = { 1e-5, 1e-4, 1e-3, 1e-2, 1e-1 };
-    const double most = params_given(p, "tolerance") ? p->tolerance : 1e-1;
+    const double most = params_has(p, "tolerance") ? p->tolerance : 1e-1;
     double cheapest = INFINITY;
     for (unsigned i = 0; i < sizeof(tolerances) / sizeof(tolerances[0]); i++) {
         const double t = fmin(tolerances[i], most);
@@ -308,7 +308,7 @@ static void account(struct frame *fr, struct bloom_reply *r)
 static void describe_plan(struct bloom *b, const struct params *p, struct bloom_reply *r)
 {
     if (p->psf_spec.kind != PSF_GAUSSIANS) {
-        snprintf(r->plan, sizeof(r->plan), "%s by FFT in float64 on the host", p->psf);
+        snprintf(r->plan, sizeof(r->plan), "by FFT in float64 on the host: %.400s", p->psf);
         snprintf(r->rule, sizeof(r->rule), "fft");
     } else {
         plan_print(b->plan, r->plan, sizeof(r->plan));
@@ -353,10 +353,11 @@ static int check_request(const struct frame *fr)
     return 0;
 }
 
-static struct slot_target *slot_target(struct bloom_slot *s, int i)
+// A target is no companion of itself.
+static struct slot_target *other_target(struct bloom_slot *s, int i, unsigned target)
 {
     assert(i < (int)s->count);
-    return i < 0 ? NULL : &s->target[i];
+    return i < 0 || (unsigned)i == target ? NULL : &s->target[i];
 }
 
 int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *request,
@@ -364,9 +365,11 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
 {
     struct frame fr = { .b = b, .slot = s, .target = &s->target[target], .request = request, .params = request->params,
                         .f = f };
-    fr.source = request->source >= 0 ? slot_target(s, request->source) : fr.target;
-    fr.matte = slot_target(s, request->matte);
-    fr.scan = request->source >= 0 ? request->source_scan : request->scan;
+    fr.matte = other_target(s, request->matte, target);
+    fr.source = other_target(s, request->source, target);
+    fr.scan = fr.source ? request->source_scan : request->scan;
+    if (!fr.source)
+        fr.source = fr.target;
     struct bloom_reply r = { 0 };
     const double start = now_ms();
     if (check_request(&fr) < 0)

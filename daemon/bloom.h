@@ -83,7 +83,7 @@ struct bloom_image {
 struct bloom_request {
     const struct params *params;
     const struct frame_scan *scan; /* of the target's input planes */
-    /* Other targets of the slot, of the same width and height, -1: none. */
+    /* Other targets of the slot, of the same width and height; -1 or the target itself: none. */
     int source;                    /* its light glows; with the scan of its planes */
     const struct frame_scan *source_scan;
     int matte;                     /* 1 channel */

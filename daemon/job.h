@@ -48,7 +48,7 @@ enum job_stage {
 
 enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER };
 
-enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = 2048 };
+enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 128 };
 
 struct job_limits {
     uint64_t max_frame_bytes; /* a payload, either way */
