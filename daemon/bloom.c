@@ -503,9 +503,14 @@ unsigned bloom_validation_messages(const struct bloom *b) { return b->vk.message
 unsigned bloom_pipelines(const struct bloom *b, unsigned *possible)
 {
     *possible = 0;
-    for (unsigned i = 0; i < sizeof(spirv_table) / sizeof(spirv_table[0]); i++)
-        if (strcmp(spirv_table[i].name, "fullscreen") != 0)
+    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram", "look" };
+    for (unsigned i = 0; i < sizeof(spirv_table) / sizeof(spirv_table[0]); i++) {
+        bool common = true;
+        for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
+            common &= !starts(spirv_table[i].name, rare[k]);
+        if (common)
             *possible += strncmp(spirv_table[i].name, "bright", 6) ? 1 : BRIGHT_SMOOTHSTEP + 1;
+    }
     return b->pipelines;
 }
 

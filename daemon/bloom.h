@@ -42,7 +42,8 @@ int bloom_create(struct bloom **out, const struct bloom_options *options, struct
 void bloom_destroy(struct bloom *b);
 const struct bloom_device_info *bloom_device(const struct bloom *b);
 unsigned bloom_validation_messages(const struct bloom *b);
-/* Pipelines that have been made (and so have drawn), and how many there could be. */
+/* Pipelines that have been made (and so have drawn), and how many there are for plain requests; those that few
+ * ask for are made when they are first needed. */
 unsigned bloom_pipelines(const struct bloom *b, unsigned *possible);
 /* Prints the devices that --device could name, one a line. */
 void bloom_list_devices(void (*print)(const char *line));

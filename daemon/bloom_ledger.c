@@ -212,7 +212,7 @@ void ledger_sum(const struct ledger *l, const struct plan *p, const struct targe
     for (unsigned g = 0; g < p->count; g++) {
         const struct plan_gaussian *k = &p->gaussian[g];
         out->spread += region_sum(l, top, t, k->weight, NULL, NULL);
-        for (unsigned i = 0; i < l->total_region; i++)
+        for (unsigned i = 0; i <= l->total_region; i++)
             if (l->region[i].level == k->level)
                 out->outside += region_sum(l, &l->region[i], t, k->weight, l->inside_x[g], l->inside_y[g]);
     }
