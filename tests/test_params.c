@@ -642,6 +642,98 @@ static void test_pixels(void **state)
     assert_true(isfinite(params_pixels(&p, &(struct size){ 1e5, SIZE_MM }, UINT32_MAX, UINT32_MAX, UINT32_MAX, 1e6)));
 }
 
+/* ---- damage ------------------------------------------------------------------------------------------ */
+
+static uint64_t seed = 0x2545f4914f6cdd1du;
+static unsigned random_below(unsigned n)
+{
+    seed ^= seed << 13;
+    seed ^= seed >> 7;
+    seed ^= seed << 17;
+    return (unsigned)((seed >> 11) % n);
+}
+
+/* Inserts, deletes, changes and doubles pieces. */
+static void damage(char *s, size_t size)
+{
+    static const char bytes[] = ":,/=%.-+eE0123456789pxmnif \x01\x80_";
+    for (unsigned n = 1 + random_below(3); n; n--) {
+        size_t len = strlen(s), at = random_below((unsigned)len + 1), cut = random_below(6);
+        switch (random_below(4)) {
+        case 0:
+            if (len + 2 < size)
+                memmove(s + at + 1, s + at, len - at + 1), s[at] = bytes[random_below(sizeof(bytes) - 1)];
+            break;
+        case 1:
+            memmove(s + at, s + (at + cut > len ? len : at + cut), len - (at + cut > len ? len : at + cut) + 1);
+            break;
+        case 2:
+            if (at < len)
+                s[at] = bytes[random_below(sizeof(bytes) - 1)];
+            break;
+        default:
+            if (2 * len + 1 < size) {
+                memmove(s + at + len, s + at, len - at + 1);
+                memmove(s + at, s, len);
+            }
+        }
+    }
+}
+
+/* Damaged texts are refused with nothing touched, or taken and kept as what reads back as itself. */
+static void test_damaged_texts(void **state)
+{
+    (void)state;
+    static const struct {
+        const char *name, *text;
+        size_t offset;
+    } good[] = {
+#define ROW(name, text) { #name, text, offsetof(struct params, name) }
+        ROW(psf, "gaussians:sigma=4/0.5%/.3mm,weight=.2/.3/.4,tint=1:1:1/1:2:3/0:0:1"),
+        ROW(psf, "octaves:sigma=2,count=4,ratio=1.5,slope=.5,bend=-.1,weight=2"),
+        ROW(psf, "halation:sigma=4/5/6,gain=.1/.2/.3"),
+        ROW(psf, "eye:degrees=40,weight=.1"),
+        ROW(psf, "airy:f=8,pitch=5,wavelength=600/500/400"),
+        ROW(psf, "aperture:blades=7,rotation=12"),
+        ROW(psf, "image:" D32 ",weight=.5"),
+        ROW(dirt, D32),
+        ROW(grow, "2.5%"),
+        ROW(view, "level:12"),
+        ROW(layers, "bright/level:0/bloom"),
+        ROW(tint, "1:1:1/.5:2:3"),
+        ROW(sun, "x=50%,y=20%,radius=5%,gain=2,tint=1:.9:.7"),
+        ROW(source, "View Layer.Emit"),
+#undef ROW
+    };
+    static struct params p, before;
+    unsigned taken = 0, refused = 0;
+    print_message("seed %llx\n", (unsigned long long)seed);
+    params_init(&p);
+    for (unsigned round = 0; round < 100000; round++) {
+        const unsigned k = random_below(sizeof(good) / sizeof(good[0]));
+        char text[600], first[PARAMS_TEXT_MAX];
+        struct fault f = { 0 };
+        strcpy(text, good[k].text);
+        damage(text, sizeof(text));
+        before = p;
+        if (params_set_text(&p, good[k].name, text, &f) < 0) {
+            if (memcmp(&p, &before, sizeof(p)) || strncmp(f.field, "params.", 7) || !*f.text)
+                fail_msg("%s=%s: touched, or no reason: %s \"%s\"", good[k].name, text, f.field, f.text);
+            for (const char *c = f.text; *c; c++)
+                assert_true(*c >= ' ' && *c <= '~');
+            refused++;
+            continue;
+        }
+        const char *field = (const char *)&p + good[k].offset;
+        snprintf(first, sizeof(first), "%s", field);
+        if (params_set_text(&p, good[k].name, first, &f) < 0 || strcmp(field, first))
+            fail_msg("%s=%s: kept as %s, which is not itself: %s", good[k].name, text, first, f.text);
+        taken++;
+    }
+    print_message("%u damaged texts were refused, %u still meant something\n", refused, taken);
+    assert_true(refused > 10000 && taken > 1000);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -652,7 +744,7 @@ int main(void)
         cmocka_unit_test(test_psf_kernels),   cmocka_unit_test(test_psf_many),
         cmocka_unit_test(test_names),         cmocka_unit_test(test_grow),
         cmocka_unit_test(test_views),         cmocka_unit_test(test_tints_and_sun),
-        cmocka_unit_test(test_pixels),
+        cmocka_unit_test(test_pixels),        cmocka_unit_test(test_damaged_texts),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
