@@ -74,20 +74,11 @@ static int unknown_option(const struct options *o, const char *arg, size_t len)
     return OPTIONS_WRONG;
 }
 
-/* "--budget-ms" is "--budget_ms": parameters are named for the protocol, options by custom with dashes. */
-static bool name_is(const char *name, const char *arg, size_t len)
-{
-    for (size_t i = 0; i < len; i++)
-        if (name[i] != arg[i] && !(name[i] == '_' && arg[i] == '-'))
-            return false;
-    return name[len] == '\0';
-}
-
 static const struct option_row *row_find(const struct options *o, const char *arg, size_t len)
 {
     for (size_t i = 0; i < o->n_rows; i++) {
         const struct option_row *r = &o->rows[i];
-        if (arg[1] == '-' ? name_is(r->name, arg + 2, len - 2)
+        if (arg[1] == '-' ? strlen(r->name) == len - 2 && memcmp(r->name, arg + 2, len - 2) == 0
                           : len == 2 && r->letter && r->letter == arg[1])
             return r;
     }
