@@ -173,7 +173,8 @@ static void image_draw(struct kernel *k, const struct kernel_facts *facts, unsig
             const uint64_t at = (uint64_t)(dy + (int64_t)(h / 2)) * w + (uint64_t)(dx + (int64_t)(w / 2));
             *v++ = (double)facts->image[3 * at + channel] / total;
         }
-    k->outside = fmax(0, 1 - sum_of(k));
+    const bool whole = (int64_t)w == k->max_x - k->min_x + 1 && (int64_t)h == k->max_y - k->min_y + 1;
+    k->outside = whole ? 0 : fmax(0, 1 - sum_of(k));
 }
 
 static int airy_draw(struct kernel *k, const struct kernel_facts *facts, double cycles, struct crew *crew)
