@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// convolve.c - see convolve.h. A real frame of h rows goes through three sweeps, each shared out in independent tasks:
-//   rows     two rows at a time are the real and the imaginary part of one complex row; its transform is taken apart into
+// convolve.c - see convolve.h. A real frame of h rows goes through three sweeps, each shared out in
+// independent tasks:
+//   rows     two rows at a time are the real and the imaginary part of one complex row; its transform is
+//   taken apart into
 //            the half spectra of both. Rows without light are skipped.
-//   columns  forward, times the kernel's spectrum, back, all in the cache: the work array is passed once.
-//   rows     two half spectra are put together, back, and rounded to float32.
-// Invariant: the work array is [block of FFT_LANES columns][re, im][row][lane], so that a block is one fft_batch and a row's
-// part of it one cache line or less. Rows >= rows_in of it are zeroed by the column's own task.
+//   columns  forward, times the kernel's spectrum, back, all in the cache: the work array is passed
+//   once. rows     two half spectra are put together, back, and rounded to float32.
+// Invariant: the work array is [block of FFT_LANES columns][re, im][row][lane], so that a block is one
+// fft_batch and a row's part of it one cache line or less. Rows >= rows_in of it are zeroed by the
+// column's own task.
 #include "convolve.h"
 
 #include <math.h>
@@ -20,8 +23,8 @@
 enum { L = FFT_LANES, GROUP = 2 * L };
 
 struct spectrum {
-    double *value;      /* [block][re, im unless real][row][lane], times weight / (n m) */
-    uint32_t rows;      /* m, or m / 2 + 1: mirrored */
+    double *value; /* [block][re, im unless real][row][lane], times weight / (n m) */
+    uint32_t rows; /* m, or m / 2 + 1: mirrored */
     bool real;
 };
 
@@ -40,7 +43,7 @@ struct convolver {
     struct spectrum spectrum[3];
     unsigned spectrum_of[3];
     double weight, outside[3], bound;
-    bool cut;                /* what is outside is lost, not put back */
+    bool cut; /* what is outside is lost, not put back */
     uint64_t bytes;
 
     /* The sweep under way: */
@@ -59,7 +62,8 @@ static struct fft_batch block_of(const struct convolver *c, uint32_t block)
     return (struct fft_batch){ re, re + (size_t)L * c->m };
 }
 
-/* ---- rows, forward ------------------------------------------------------------------------------------ */
+/* ---- rows, forward
+ * ------------------------------------------------------------------------------------ */
 
 static bool frame_row(const struct convolver *c, uint32_t y, double *out)
 {
@@ -140,9 +144,11 @@ static void rows_in_task(void *ctx, unsigned task, unsigned member)
     }
 }
 
-/* ---- columns ---------------------------------------------------------------------------------------- */
+/* ---- columns ----------------------------------------------------------------------------------------
+ */
 
-static struct fft_batch column_forward(const struct convolver *c, uint32_t block, struct scratch *s, struct fft_batch *other)
+static struct fft_batch column_forward(const struct convolver *c, uint32_t block, struct scratch *s,
+                                       struct fft_batch *other)
 {
     const struct fft_batch z = block_of(c, block);
     rows_clear(c, block, c->rows_in, c->m);
@@ -151,7 +157,10 @@ static struct fft_batch column_forward(const struct convolver *c, uint32_t block
     return r;
 }
 
-static size_t spectrum_block(const struct spectrum *k) { return (size_t)k->rows * L * (k->real ? 1 : 2); }
+static size_t spectrum_block(const struct spectrum *k)
+{
+    return (size_t)k->rows * L * (k->real ? 1 : 2);
+}
 
 static void spectrum_task(void *ctx, unsigned task, unsigned member)
 {
@@ -197,7 +206,8 @@ static void columns_task(void *ctx, unsigned task, unsigned member)
     fft_run(&c->column, r, other, true);
 }
 
-/* ---- rows, back --------------------------------------------------------------------------------------- */
+/* ---- rows, back
+ * --------------------------------------------------------------------------------------- */
 
 static uint32_t wrapped(const struct convolver *c, uint32_t out, uint32_t length)
 {
@@ -216,7 +226,8 @@ static void pair_join(const struct convolver *c, struct fft_batch z, uint32_t fi
         double *pr = z.re + (size_t)k * L, *pi = z.im + (size_t)k * L;
         const size_t mirror = (size_t)(k ? c->n - k : 0) * L;
         double *qr = z.re + mirror, *qi = z.im + mirror;
-        // At 0 and n / 2 both are the same number, whose imaginary parts are rounding: of a real row they are 0.
+        // At 0 and n / 2 both are the same number, whose imaginary parts are rounding: of a real row
+        // they are 0.
         const bool own = k == 0 || 2 * k == c->n;
         for (unsigned l = 0; l < L; l++) {
             const size_t a = at[l] + k % L, b = at[l + L] + k % L;
@@ -252,7 +263,8 @@ static void rows_out_task(void *ctx, unsigned task, unsigned member)
         row_store(c, (l < L ? z.re : z.im) + l % L, first + l);
 }
 
-/* ---- a frame -------------------------------------------------------------------------------------------- */
+/* ---- a frame
+ * -------------------------------------------------------------------------------------------- */
 
 static uint32_t groups(uint32_t rows) { return (rows + GROUP - 1) / GROUP; }
 
@@ -263,12 +275,13 @@ static void rows_forward(struct convolver *c, uint32_t rows)
     crew_run(c->crew, groups(rows), rows_in_task, c);
 }
 
-int convolver_run(struct convolver *c, const float *const e[3], size_t e_stride, float *const out[3], size_t out_stride,
-                  struct fault *f)
+int convolver_run(struct convolver *c, const float *const e[3], size_t e_stride, float *const out[3],
+                  size_t out_stride, struct fault *f)
 {
     const uint32_t width = c->width + 2 * c->grow, height = c->height + 2 * c->grow;
     if (e_stride < c->width || out_stride < width)
-        return fault_set(f, FAULT_INTERNAL, "", "convolver: strides of %zu and %zu floats found, at least %u and %u expected",
+        return fault_set(f, FAULT_INTERNAL, "",
+                         "convolver: strides of %zu and %zu floats found, at least %u and %u expected",
                          e_stride, out_stride, c->width, width);
     c->kernel = NULL;
     c->e_stride = e_stride;
@@ -289,9 +302,13 @@ int convolver_run(struct convolver *c, const float *const e[3], size_t e_stride,
     return 0;
 }
 
-/* ---- made once -------------------------------------------------------------------------------------- */
+/* ---- made once --------------------------------------------------------------------------------------
+ */
 
-static double *numbers(uint64_t count) { return aligned_alloc(64, (size_t)((count * sizeof(double) + 63) / 64 * 64)); }
+static double *numbers(uint64_t count)
+{
+    return aligned_alloc(64, (size_t)((count * sizeof(double) + 63) / 64 * 64));
+}
 
 static uint32_t length_for(uint32_t side, uint32_t grow, int32_t min, int32_t max)
 {
@@ -308,9 +325,10 @@ static int bytes_count(struct convolver *c, const struct kernel *k, unsigned mem
     c->bytes = sizeof(double) * (work + spectra + members * 4 * L * longest);
     const uint64_t peak = c->bytes + sizeof(double) * drawn * (c->channels == 1 ? 2 : 1);
     if (peak > CONVOLVER_BYTES_MAX)
-        return fault_set(f, FAULT_LIMIT, "params.psf",
-                         "psf: a convolution by FFT of %u x %u needs %llu MiB, at most %llu MiB expected", c->n, c->m,
-                         (unsigned long long)(peak >> 20), (unsigned long long)(CONVOLVER_BYTES_MAX >> 20));
+        return fault_set(
+            f, FAULT_LIMIT, "params.psf",
+            "psf: a convolution by FFT of %u x %u needs %llu MiB, at most %llu MiB expected", c->n, c->m,
+            (unsigned long long)(peak >> 20), (unsigned long long)(CONVOLVER_BYTES_MAX >> 20));
     return 0;
 }
 
@@ -327,22 +345,26 @@ static int memory_take(struct convolver *c, unsigned threads, struct fault *f)
         if (!p)
             err = -1;
         else
-            c->scratch[i] = (struct scratch){ { p, p + L * longest }, { p + 2 * L * longest, p + 3 * L * longest }, p };
+            c->scratch[i] = (struct scratch){ { p, p + L * longest },
+                                              { p + 2 * L * longest, p + 3 * L * longest },
+                                              p };
     }
     if (err == 0)
         err = (c->work = numbers((uint64_t)c->blocks * 2 * L * c->m)) == NULL;
     if (err == 0) // the last block's lanes beyond column n / 2: never written again
         memset(block_of(c, c->blocks - 1).re, 0, 2 * L * sizeof(double) * c->m);
     for (unsigned i = 0; err == 0 && i < c->spectra; i++)
-        err = (c->spectrum[i].value = numbers((uint64_t)c->blocks * spectrum_block(&c->spectrum[i]))) == NULL;
-    return err == 0 ? 0
-                    : fault_set(f, FAULT_NO_MEMORY, "params.psf", "psf: no memory or thread for a convolution by FFT of %u x %u",
-                                c->n, c->m);
+        err = (c->spectrum[i].value = numbers((uint64_t)c->blocks * spectrum_block(&c->spectrum[i]))) ==
+              NULL;
+    return err == 0
+               ? 0
+               : fault_set(f, FAULT_NO_MEMORY, "params.psf",
+                           "psf: no memory or thread for a convolution by FFT of %u x %u", c->n, c->m);
 }
 
 // The kernel of a plane: the channel's, or of a frame of one plane the mean.
-static int plane_kernel(struct convolver *c, struct kernel *k, const struct kernel_facts *facts, unsigned channel,
-                        struct fault *f)
+static int plane_kernel(struct convolver *c, struct kernel *k, const struct kernel_facts *facts,
+                        unsigned channel, struct fault *f)
 {
     if (kernel_draw(k, facts, channel, c->crew, f) < 0)
         return -1;
@@ -387,13 +409,13 @@ static int spectra_make(struct convolver *c, const struct kernel_facts *facts, s
 }
 
 /*
- * Let |.| be 2-norms, u = 2^-53, and a transform's error norm |X| and, componentwise, each * sum |x| (fft.h). Then
- *   spectrum of E     |dX| <= norm |X|
- *   of the kernel     |dK_j| <= each * weight for every j, as the kernel is >= 0 with sum <= weight; and |K_j| <= weight
- *   product, pairs, scaling   8 roundings: <= 16 u |X| weight
- *   way back          norm again
- * and by Parseval |dy| <= (2 norm + each + 16 u) weight |E|, |E| <= sqrt(width height) max E, each pixel's error <= |dy|. Last, one
- * rounding to float32 of a number that is <= weight max E. (Below 1e-38 max E the smallest float's step, 1.4e-45, is to be added.)
+ * Let |.| be 2-norms, u = 2^-53, and a transform's error norm |X| and, componentwise, each * sum |x|
+ * (fft.h). Then spectrum of E     |dX| <= norm |X| of the kernel     |dK_j| <= each * weight for every
+ * j, as the kernel is >= 0 with sum <= weight; and |K_j| <= weight product, pairs, scaling   8
+ * roundings: <= 16 u |X| weight way back          norm again and by Parseval |dy| <= (2 norm + each + 16
+ * u) weight |E|, |E| <= sqrt(width height) max E, each pixel's error <= |dy|. Last, one rounding to
+ * float32 of a number that is <= weight max E. (Below 1e-38 max E the smallest float's step, 1.4e-45, is
+ * to be added.)
  */
 static double bound_of(const struct convolver *c)
 {
@@ -407,14 +429,17 @@ static int facts_check(const struct convolver_facts *facts, struct fault *f)
 {
     const uint64_t x = (uint64_t)facts->width + facts->grow, y = (uint64_t)facts->height + facts->grow;
     if (facts->width < 1 || facts->height < 1 || (facts->channels != 1 && facts->channels != 3))
-        return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
-                         "psf: a frame of %u x %u pixels, %u channels found, at least 1 x 1 and 1 or 3 expected", facts->width,
-                         facts->height, facts->channels);
+        return fault_set(
+            f, FAULT_PARAM_RANGE, "params.psf",
+            "psf: a frame of %u x %u pixels, %u channels found, at least 1 x 1 and 1 or 3 expected",
+            facts->width, facts->height, facts->channels);
     if (x > CONVOLVER_SIDE_MAX || y > CONVOLVER_SIDE_MAX)
-        return fault_set(f, FAULT_LIMIT, "params.psf", "psf: a frame of %u x %u pixels and grow %u found, sides of up to %d expected",
+        return fault_set(f, FAULT_LIMIT, "params.psf",
+                         "psf: a frame of %u x %u pixels and grow %u found, sides of up to %d expected",
                          facts->width, facts->height, facts->grow, CONVOLVER_SIDE_MAX);
     if (!(facts->psf->weight >= 0 && facts->psf->weight <= 1e12))
-        return fault_set(f, FAULT_PARAM_RANGE, "params.psf", "psf: a weight of %g found, 0 to 1e12 expected", facts->psf->weight);
+        return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
+                         "psf: a weight of %g found, 0 to 1e12 expected", facts->psf->weight);
     return 0;
 }
 
@@ -430,8 +455,9 @@ static void plan_make(struct convolver *c, const struct convolver_facts *facts, 
         c->spectrum_of[i] = same < i ? c->spectrum_of[same] : c->spectra++;
     }
     for (unsigned i = 0; i < 3; i++)
-        c->spectrum[i] = (struct spectrum){ .real = k->symmetry != KERNEL_ANY,
-                                            .rows = k->symmetry == KERNEL_MIRRORED ? c->m / 2 + 1 : c->m };
+        c->spectrum[i] =
+            (struct spectrum){ .real = k->symmetry != KERNEL_ANY,
+                               .rows = k->symmetry == KERNEL_MIRRORED ? c->m / 2 + 1 : c->m };
 }
 
 int convolver_create(struct convolver **out, const struct convolver_facts *facts, struct fault *f)
@@ -452,12 +478,19 @@ int convolver_create(struct convolver **out, const struct convolver_facts *facts
         return -1;
     if (!(c = calloc(1, sizeof(*c))))
         return fault_set(f, FAULT_NO_MEMORY, "params.psf", "psf: no memory for a convolution");
-    *c = (struct convolver){ .width = facts->width, .height = facts->height, .grow = facts->grow, .channels = facts->channels,
-                             .weight = facts->psf->weight, .cut = facts->psf->kind == PSF_IMAGE };
+    *c = (struct convolver){ .width = facts->width,
+                             .height = facts->height,
+                             .grow = facts->grow,
+                             .channels = facts->channels,
+                             .weight = facts->psf->weight,
+                             .cut = facts->psf->kind == PSF_IMAGE };
     kernel_measure(&k, &kernel);
     plan_make(c, facts, &k);
-    const unsigned threads = facts->threads < 1 ? 1 : facts->threads > CREW_MAX ? CREW_MAX : facts->threads;
-    if (bytes_count(c, &k, threads, f) < 0 || memory_take(c, threads, f) < 0 || spectra_make(c, &kernel, f) < 0)
+    const unsigned threads = facts->threads < 1          ? 1
+                             : facts->threads > CREW_MAX ? CREW_MAX
+                                                         : facts->threads;
+    if (bytes_count(c, &k, threads, f) < 0 || memory_take(c, threads, f) < 0 ||
+        spectra_make(c, &kernel, f) < 0)
         goto fail;
     c->bound = bound_of(c);
     *out = c;
@@ -484,6 +517,9 @@ void convolver_destroy(struct convolver *c)
 }
 
 double convolver_bound(const struct convolver *c) { return c->bound; }
-double convolver_weight(const struct convolver *c, unsigned channel) { return c->cut ? c->weight * c->outside[channel] : 0; }
+double convolver_weight(const struct convolver *c, unsigned channel)
+{
+    return c->cut ? c->weight * c->outside[channel] : 0;
+}
 double convolver_outside(const struct convolver *c, unsigned channel) { return c->outside[channel]; }
 uint64_t convolver_bytes(const struct convolver *c) { return c->bytes; }

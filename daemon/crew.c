@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// crew.c - see crew.h. Invariant: fn, ctx and count change only while every helper waits for the next turn, under the
-// lock; so helpers read them without it once they have seen the turn.
+// crew.c - see crew.h. Invariant: fn, ctx and count change only while every helper waits for the next
+// turn, under the lock; so helpers read them without it once they have seen the turn.
 #include "crew.h"
 
 #include <errno.h>
@@ -101,7 +101,8 @@ void crew_destroy(struct crew *c)
 
 unsigned crew_members(const struct crew *c) { return c->members; }
 
-void crew_run(struct crew *c, unsigned count, void (*fn)(void *ctx, unsigned task, unsigned member), void *ctx)
+void crew_run(struct crew *c, unsigned count, void (*fn)(void *ctx, unsigned task, unsigned member),
+              void *ctx)
 {
     pthread_mutex_lock(&c->lock);
     c->fn = fn;

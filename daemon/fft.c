@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// fft.c - see fft.h. Stockham's self-sorting form, decimation in frequency: at each stage the inner loop runs over s * LANES
-// consecutive numbers with one twiddle, so it vectorises without shuffles and needs no bit reversal. The stage's length is
-// n = radix * m; element q + s * (p + m * r) goes to q + s * (radix * p + r), times w^(p r).
+// fft.c - see fft.h. Stockham's self-sorting form, decimation in frequency: at each stage the inner loop
+// runs over s * LANES consecutive numbers with one twiddle, so it vectorises without shuffles and needs
+// no bit reversal. The stage's length is n = radix * m; element q + s * (p + m * r) goes to q + s *
+// (radix * p + r), times w^(p r).
 #include "fft.h"
 
 #include <errno.h>
@@ -14,7 +15,7 @@ struct stage {
     const double *xr, *xi; /* read */
     double *yr, *yi;       /* written */
     const double *twiddle;
-    size_t m, s;           /* s: numbers of one run, lanes included */
+    size_t m, s; /* s: numbers of one run, lanes included */
 };
 
 INLINE void radix2(struct stage g)
@@ -46,7 +47,8 @@ INLINE void radix3(struct stage g)
         for (size_t q = 0; q < g.s; q++) {
             const double sr = xr[q + b] + xr[q + c], si = xi[q + b] + xi[q + c];
             const double tr = xr[q] - 0.5 * sr, ti = xi[q] - 0.5 * si;
-            const double dr = half_root * (xr[q + b] - xr[q + c]), di = half_root * (xi[q + b] - xi[q + c]);
+            const double dr = half_root * (xr[q + b] - xr[q + c]),
+                         di = half_root * (xi[q + b] - xi[q + c]);
             const double ur = tr + di, ui = ti - dr, vr = tr - di, vi = ti + dr;
             yr[q] = xr[q] + sr;
             yi[q] = xi[q] + si;
@@ -71,7 +73,8 @@ INLINE void radix4(struct stage g)
             const double mr = xr[q] - xr[q + c], mi = xi[q] - xi[q + c];
             const double sr = xr[q + b] + xr[q + d], si = xi[q + b] + xi[q + d];
             const double dr = xr[q + b] - xr[q + d], di = xi[q + b] - xi[q + d];
-            const double ur = mr + di, ui = mi - dr, vr = pr - sr, vi = pi - si, tr = mr - di, ti = mi + dr;
+            const double ur = mr + di, ui = mi - dr, vr = pr - sr, vi = pi - si, tr = mr - di,
+                         ti = mi + dr;
             yr[q] = pr + sr;
             yi[q] = pi + si;
             yr[q + g.s] = ur * w1r - ui * w1i;
@@ -146,13 +149,17 @@ INLINE void stages_run(const struct fft *f, struct fft_batch x, struct fft_batch
 }
 
 #if defined(__x86_64__)
-__attribute__((target("avx2"))) static void run_avx2(const struct fft *f, struct fft_batch z, struct fft_batch work)
+__attribute__((target("avx2"))) static void run_avx2(const struct fft *f, struct fft_batch z,
+                                                     struct fft_batch work)
 {
     stages_run(f, z, work);
 }
 #endif
 
-static void run_plain(const struct fft *f, struct fft_batch z, struct fft_batch work) { stages_run(f, z, work); }
+static void run_plain(const struct fft *f, struct fft_batch z, struct fft_batch work)
+{
+    stages_run(f, z, work);
+}
 
 struct fft_batch fft_run(const struct fft *f, struct fft_batch z, struct fft_batch work, bool inverse)
 {
@@ -220,8 +227,9 @@ void fft_finish(struct fft *f)
 
 struct fft_rounding fft_rounding(const struct fft *f)
 {
-    // d: roundings on the longest way through a butterfly, constants included. Its error per output is <= d u sum |a|, by
-    // Cauchy-Schwarz <= d u sqrt(r) of the outputs' norm; the twiddle adds sqrt(2) * (2 + 1/sqrt(2)) u < 4 u.
+    // d: roundings on the longest way through a butterfly, constants included. Its error per output is
+    // <= d u sum |a|, by Cauchy-Schwarz <= d u sqrt(r) of the outputs' norm; the twiddle adds sqrt(2) *
+    // (2 + 1/sqrt(2)) u < 4 u.
     static const double depth[6] = { [2] = 1, [3] = 4, [4] = 2, [5] = 6 };
     const double u = 0x1p-53;
     struct fft_rounding e = { 0, 0 };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// kernel.c - see kernel.h: what is common to all models, and the image. Sums are taken row by row in one order, by one thread, so
-// that the norm does not depend on who drew what.
+// kernel.c - see kernel.h: what is common to all models, and the image. Sums are taken row by row in one
+// order, by one thread, so that the norm does not depend on who drew what.
 #include "kernel.h"
 
 #include <math.h>
@@ -32,62 +32,75 @@ void kernel_points_make(struct kernel_points *p, unsigned n)
 
 unsigned kernel_points_for(double cycles)
 {
-    // The rule's error on cos(2 pi c t) falls steeply once n is above pi c / 2; 4 more are 1e-5 and better.
+    // The rule's error on cos(2 pi c t) falls steeply once n is above pi c / 2; 4 more are 1e-5 and
+    // better.
     const double n = 2 * ceil((0.5 * M_PI * cycles + 4) / 2);
     return n > KERNEL_POINTS_MAX ? KERNEL_POINTS_MAX : (unsigned)n;
 }
 
-/* ---- facts ------------------------------------------------------------------------------------------ */
+/* ---- facts ------------------------------------------------------------------------------------------
+ */
 
 static const char *const kind_name[] = { "gaussians", "eye", "airy", "aperture", "image" };
 
-static int number_check(const char *kind, const char *name, double v, double min, double max, struct fault *f)
+static int number_check(const char *kind, const char *name, double v, double min, double max,
+                        struct fault *f)
 {
     if (v >= min && v <= max)
         return 0;
-    return fault_set(f, FAULT_PARAM_RANGE, "params.psf", "psf %s, %s: %g found, %g to %g expected", kind, name, v, min, max);
+    return fault_set(f, FAULT_PARAM_RANGE, "params.psf", "psf %s, %s: %g found, %g to %g expected", kind,
+                     name, v, min, max);
 }
 
 static int image_check(const struct kernel_facts *facts, struct fault *f)
 {
     const uint32_t w = facts->image_width, h = facts->image_height;
     if (!facts->image || w < 1 || h < 1 || w > KERNEL_SIDE_MAX || h > KERNEL_SIDE_MAX)
-        return fault_set(f, FAULT_PARAM_RANGE, "params.psf", "psf image: %s %u x %u pixels found, 1 to %d each way expected",
+        return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
+                         "psf image: %s %u x %u pixels found, 1 to %d each way expected",
                          facts->image ? "a kernel of" : "no kernel, of", w, h, KERNEL_SIDE_MAX);
     double sum[3] = { 0, 0, 0 };
     const uint64_t count = (uint64_t)w * h;
     for (uint64_t i = 0; i < count * 3; i++) {
         const float v = facts->image[i];
         if (!(v >= 0 && v <= 3.4028234e38f))
-            return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
-                             "psf image, pixel (%llu, %llu), channel %c: %g found, a finite number >= 0 expected",
-                             (unsigned long long)(i / 3 % w), (unsigned long long)(i / 3 / w), "RGB"[i % 3], (double)v);
+            return fault_set(
+                f, FAULT_PARAM_RANGE, "params.psf",
+                "psf image, pixel (%llu, %llu), channel %c: %g found, a finite number >= 0 expected",
+                (unsigned long long)(i / 3 % w), (unsigned long long)(i / 3 / w), "RGB"[i % 3],
+                (double)v);
         sum[i % 3] += (double)v;
     }
     for (unsigned c = 0; c < 3; c++)
         if (!(sum[c] > 0))
-            return fault_set(f, FAULT_PARAM_RANGE, "params.psf", "psf image, channel %c: a sum of 0 found, > 0 expected", "RGB"[c]);
+            return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
+                             "psf image, channel %c: a sum of 0 found, > 0 expected", "RGB"[c]);
     return 0;
 }
 
 static int lens_check(const struct psf_spec *s, struct fault *f)
 {
     const char *kind = kind_name[s->kind];
-    if (number_check(kind, "f-number", s->f_number, 0.1, 1e5, f) < 0 || number_check(kind, "pitch", s->pitch_um, 1e-3, 1e5, f) < 0)
+    if (number_check(kind, "f-number", s->f_number, 0.1, 1e5, f) < 0 ||
+        number_check(kind, "pitch", s->pitch_um, 1e-3, 1e5, f) < 0)
         return -1;
     for (unsigned c = 0; c < 3; c++)
         if (number_check(kind, "wavelength", s->wavelength_nm[c], 1, 1e6, f) < 0)
             return -1;
-    return s->kind == PSF_APERTURE ? number_check(kind, "blades", s->blades, 3, 32, f) ||
-                                         number_check(kind, "rotation", s->rotation_deg, -1e6, 1e6, f)
-                                         ? -1 : 0 : 0;
+    return s->kind == PSF_APERTURE
+               ? number_check(kind, "blades", s->blades, 3, 32, f) ||
+                         number_check(kind, "rotation", s->rotation_deg, -1e6, 1e6, f)
+                     ? -1
+                     : 0
+               : 0;
 }
 
 int kernel_check(const struct kernel_facts *facts, struct fault *f)
 {
     const struct psf_spec *s = facts->psf;
     if (s->kind < PSF_EYE || s->kind > PSF_IMAGE)
-        return fault_set(f, FAULT_INTERNAL, "params.psf", "psf kind %d found, one that is drawn out expected", (int)s->kind);
+        return fault_set(f, FAULT_INTERNAL, "params.psf",
+                         "psf kind %d found, one that is drawn out expected", (int)s->kind);
     const char *kind = kind_name[s->kind];
     if (number_check(kind, "columns to reach", facts->reach_x, 0, KERNEL_SIDE_MAX / 2 - 1, f) < 0 ||
         number_check(kind, "rows to reach", facts->reach_y, 0, KERNEL_SIDE_MAX / 2 - 1, f) < 0)
@@ -106,10 +119,12 @@ int kernel_check(const struct kernel_facts *facts, struct fault *f)
 
 bool kernel_same(const struct psf_spec *psf, unsigned a, unsigned b)
 {
-    return psf->kind == PSF_EYE || (psf->kind != PSF_IMAGE && psf->wavelength_nm[a] == psf->wavelength_nm[b]);
+    return psf->kind == PSF_EYE ||
+           (psf->kind != PSF_IMAGE && psf->wavelength_nm[a] == psf->wavelength_nm[b]);
 }
 
-/* ---- drawing ---------------------------------------------------------------------------------------- */
+/* ---- drawing ----------------------------------------------------------------------------------------
+ */
 
 static int32_t smaller(int64_t a, int64_t b) { return (int32_t)(a < b ? a : b); }
 
@@ -120,8 +135,10 @@ void kernel_measure(struct kernel *k, const struct kernel_facts *facts)
     case PSF_IMAGE: {
         const int64_t w = facts->image_width, h = facts->image_height;
         *k = (struct kernel){ .symmetry = KERNEL_ANY,
-                              .min_x = -smaller(w / 2, rx), .max_x = smaller(w - 1 - w / 2, rx),
-                              .min_y = -smaller(h / 2, ry), .max_y = smaller(h - 1 - h / 2, ry) };
+                              .min_x = -smaller(w / 2, rx),
+                              .max_x = smaller(w - 1 - w / 2, rx),
+                              .min_y = -smaller(h / 2, ry),
+                              .max_y = smaller(h - 1 - h / 2, ry) };
         break;
     }
     case PSF_APERTURE:
@@ -170,14 +187,16 @@ static void image_draw(struct kernel *k, const struct kernel_facts *facts, unsig
     }
     for (int32_t dy = k->min_y; dy <= k->max_y; dy++)
         for (int32_t dx = k->min_x; dx <= k->max_x; dx++) {
-            const uint64_t at = (uint64_t)(dy + (int64_t)(h / 2)) * w + (uint64_t)(dx + (int64_t)(w / 2));
+            const uint64_t at =
+                (uint64_t)(dy + (int64_t)(h / 2)) * w + (uint64_t)(dx + (int64_t)(w / 2));
             *v++ = (double)facts->image[3 * at + channel] / total;
         }
     const bool whole = (int64_t)w == k->max_x - k->min_x + 1 && (int64_t)h == k->max_y - k->min_y + 1;
     k->outside = whole ? 0 : fmax(0, 1 - sum_of(k));
 }
 
-static int airy_draw(struct kernel *k, const struct kernel_facts *facts, double cycles, struct crew *crew)
+static int airy_draw(struct kernel *k, const struct kernel_facts *facts, double cycles,
+                     struct crew *crew)
 {
     const double drawn = fmin(cycles, KERNEL_FINEST), scale = drawn / cycles;
     double total;
@@ -190,7 +209,8 @@ static int airy_draw(struct kernel *k, const struct kernel_facts *facts, double 
     return 0;
 }
 
-int kernel_draw(struct kernel *k, const struct kernel_facts *facts, unsigned channel, struct crew *crew, struct fault *f)
+int kernel_draw(struct kernel *k, const struct kernel_facts *facts, unsigned channel, struct crew *crew,
+                struct fault *f)
 {
     const struct psf_spec *s = facts->psf;
     double total = 1;
@@ -198,8 +218,10 @@ int kernel_draw(struct kernel *k, const struct kernel_facts *facts, unsigned cha
     kernel_measure(k, facts);
     k->value = malloc(count_of(k) * sizeof(*k->value));
     if (!k->value)
-        return fault_set(f, FAULT_NO_MEMORY, "params.psf", "psf: no memory for a kernel of %zu numbers", count_of(k));
-    const double cycles = s->kind == PSF_EYE ? 0 : 1e3 * s->pitch_um / (s->wavelength_nm[channel] * s->f_number);
+        return fault_set(f, FAULT_NO_MEMORY, "params.psf", "psf: no memory for a kernel of %zu numbers",
+                         count_of(k));
+    const double cycles =
+        s->kind == PSF_EYE ? 0 : 1e3 * s->pitch_um / (s->wavelength_nm[channel] * s->f_number);
     if (s->kind == PSF_IMAGE) {
         image_draw(k, facts, channel);
         return 0;

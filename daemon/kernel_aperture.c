@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// kernel_aperture.c - see kernel.h: the light that a polygon diffracts. With k = 2 pi (x, y) and the corners u_j,
+// kernel_aperture.c - see kernel.h: the light that a polygon diffracts. With k = 2 pi (x, y) and the
+// corners u_j,
 //     F(k) = -1/|k|^2 sum_j (k x e_j)/(k . e_j) (exp(i k u_j+1) - exp(i k u_j)),   e_j = u_j+1 - u_j,
-// which is Green's theorem on the integral of exp(i k u) over the polygon. From a pixel to the next each exponential is turned by
-// a constant, so a row needs sines only at its RESYNC points; all sub-samples of a pixel go side by side.
+// which is Green's theorem on the integral of exp(i k u) over the polygon. From a pixel to the next each
+// exponential is turned by a constant, so a row needs sines only at its RESYNC points; all sub-samples
+// of a pixel go side by side.
 #include <math.h>
 #include <string.h>
 
@@ -42,8 +44,9 @@ struct corner_terms {
 };
 
 // Adds edge a -> b to F: near k . e = 0 the quotient is i times the exponential at the edge's middle.
-INLINE void edge_add(double *restrict fr, double *restrict fi, const struct corner_terms *a, const struct corner_terms *b,
-                     const double *kx, const double *ky, double ex, double ey, unsigned lanes)
+INLINE void edge_add(double *restrict fr, double *restrict fi, const struct corner_terms *a,
+                     const struct corner_terms *b, const double *kx, const double *ky, double ex,
+                     double ey, unsigned lanes)
 {
     for (unsigned l = 0; l < lanes; l++) {
         const double dot = kx[l] * ex + ky[l] * ey, cross = kx[l] * ey - ky[l] * ex;
@@ -56,11 +59,13 @@ INLINE void edge_add(double *restrict fr, double *restrict fi, const struct corn
     }
 }
 
-// |k|^2 <u^2> below 1e-4: the sum above would be a difference of nearly equal numbers; the parabola is right to 1e-8.
+// |k|^2 <u^2> below 1e-4: the sum above would be a difference of nearly equal numbers; the parabola is
+// right to 1e-8.
 INLINE double density(const struct kernel_polygon *p, double fr, double fi, double kx, double ky)
 {
     const double k2 = kx * kx + ky * ky;
-    return k2 * p->moment < 1e-4 ? p->area * (1 - k2 * p->moment) : (fr * fr + fi * fi) / (k2 * k2 * p->area);
+    return k2 * p->moment < 1e-4 ? p->area * (1 - k2 * p->moment)
+                                 : (fr * fr + fi * fi) / (k2 * k2 * p->area);
 }
 
 double kernel_polygon_at(const struct kernel_polygon *p, double x, double y)
@@ -78,7 +83,8 @@ double kernel_polygon_at(const struct kernel_polygon *p, double x, double y)
 
 struct lanes {
     unsigned n;
-    double x[LANES_MAX], y[LANES_MAX], weight[LANES_MAX]; /* of sub-samples, in pixel heights from the pixel's middle */
+    double x[LANES_MAX], y[LANES_MAX],
+        weight[LANES_MAX]; /* of sub-samples, in pixel heights from the pixel's middle */
     struct corner_terms at[32];
     double turn_r[32], turn_i[32]; /* from a pixel to the next */
 };
@@ -90,7 +96,8 @@ INLINE void turn_all(struct lanes *g, const struct span *s, int32_t dx)
     for (unsigned j = 0; j < p->corners; j++) {
         double *restrict er = g->at[j].r, *restrict ei = g->at[j].i;
         for (unsigned l = 0; anew && l < g->n; l++) {
-            const double t = 2 * M_PI * ((s->aspect * dx + g->x[l]) * p->x[j] + (s->row + g->y[l]) * p->y[j]);
+            const double t =
+                2 * M_PI * ((s->aspect * dx + g->x[l]) * p->x[j] + (s->row + g->y[l]) * p->y[j]);
             er[l] = cos(t);
             ei[l] = sin(t);
         }
@@ -120,7 +127,8 @@ INLINE void lanes_add(struct lanes *g, const struct span *s)
             kx[l] = 2 * M_PI * (s->aspect * dx + g->x[l]);
         turn_all(g, s, dx);
         for (unsigned j = 0; j < p->corners; j++)
-            edge_add(fr, fi, &g->at[j], &g->at[(j + 1) % p->corners], kx, ky, p->edge_x[j], p->edge_y[j], g->n);
+            edge_add(fr, fi, &g->at[j], &g->at[(j + 1) % p->corners], kx, ky, p->edge_x[j], p->edge_y[j],
+                     g->n);
         for (unsigned l = 0; l < g->n; l++)
             fr[l] = g->weight[l] * density(p, fr[l], fi[l], kx[l], ky[l]);
         double sum = 0;
@@ -180,7 +188,8 @@ static void row_draw(void *ctx, unsigned task, unsigned member)
     const int32_t dy = (int32_t)task, width = k->max_x - k->min_x + 1;
     const int32_t rim = k->max_x < KERNEL_NEAR ? k->max_x : KERNEL_NEAR;
     double *out = k->value + (size_t)dy * (size_t)width - k->min_x;
-    struct span far = { &a->far, &a->far_x, &a->far_y, a->aspect, a->far_scale, k->min_x, k->max_x, dy, out };
+    struct span far = { &a->far,  &a->far_x, &a->far_y, a->aspect, a->far_scale,
+                        k->min_x, k->max_x,  dy,        out };
     if (dy > KERNEL_NEAR) {
         span_draw(&far);
         return;
@@ -190,7 +199,8 @@ static void row_draw(void *ctx, unsigned task, unsigned member)
     far.from = rim + 1;
     far.to = k->max_x;
     span_draw(&far);
-    const struct span near = { &a->near, &a->near_x, &a->near_y, a->aspect, a->near_scale, -rim, rim, dy, out };
+    const struct span near = { &a->near, &a->near_x, &a->near_y, a->aspect, a->near_scale,
+                               -rim,     rim,        dy,         out };
     span_draw(&near);
 }
 
@@ -210,7 +220,8 @@ static void sums_take(const struct kernel *k, double *near, double *far)
     }
 }
 
-void kernel_draw_aperture(struct kernel *k, const struct kernel_facts *facts, double cycles, struct crew *crew)
+void kernel_draw_aperture(struct kernel *k, const struct kernel_facts *facts, double cycles,
+                          struct crew *crew)
 {
     struct aperture a = { .k = k, .aspect = facts->pixel_aspect };
     const struct psf_spec *s = facts->psf;
@@ -221,13 +232,14 @@ void kernel_draw_aperture(struct kernel *k, const struct kernel_facts *facts, do
     a.far_scale = far / cycles;
     kernel_points_make(&a.near_x, kernel_points_for(a.near.extent * a.aspect));
     kernel_points_make(&a.near_y, kernel_points_for(a.near.extent));
-    const unsigned far_x = kernel_points_for(a.far.extent * a.aspect), far_y = kernel_points_for(a.far.extent);
+    const unsigned far_x = kernel_points_for(a.far.extent * a.aspect),
+                   far_y = kernel_points_for(a.far.extent);
     kernel_points_make(&a.far_x, far_x > 2 ? far_x - 2 : 2);
     kernel_points_make(&a.far_y, far_y > 2 ? far_y - 2 : 2);
     crew_run(crew, (unsigned)k->max_y + 1, row_draw, &a);
 
-    // near: of all light a share of near / near_scale falls on the near pixels of the pattern that was drawn; what of it lies beyond
-    // them falls with 1 / B too.
+    // near: of all light a share of near / near_scale falls on the near pixels of the pattern that was
+    // drawn; what of it lies beyond them falls with 1 / B too.
     double near_sum, far_sum, *middle = k->value - k->min_x;
     sums_take(k, &near_sum, &far_sum);
     const double beyond = fmax(0, a.near_scale - near_sum);

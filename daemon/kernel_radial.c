@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// kernel_radial.c - see kernel.h: the eye and the Airy pattern, from the energy T(r) beyond r. Of a pixel's border only the parts
-// along x and y are ever integrated, each for one edge: V(i, j), the right one, and H(i, j), the lower one; a pixel is a sum of four.
-// Four numbers of about 1/r^2 leave one of 1/r^3, so of float64's 16 digits about 12 are left at r = 4000.
+// kernel_radial.c - see kernel.h: the eye and the Airy pattern, from the energy T(r) beyond r. Of a
+// pixel's border only the parts along x and y are ever integrated, each for one edge: V(i, j), the right
+// one, and H(i, j), the lower one; a pixel is a sum of four. Four numbers of about 1/r^2 leave one of
+// 1/r^3, so of float64's 16 digits about 12 are left at r = 4000.
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
@@ -14,9 +15,9 @@ static const double table_step = 0.05; /* in v: a cubic is then right to 2e-7 / 
 struct radial {
     struct kernel *k;
     double aspect;
-    double degrees;   /* a pixel; 0: airy */
-    double v;         /* airy: v a pixel */
-    double *table;    /* T and T' step, in turn */
+    double degrees; /* a pixel; 0: airy */
+    double v;       /* airy: v a pixel */
+    double *table;  /* T and T' step, in turn */
     size_t table_count;
     struct kernel_points close, middle, far;
 };
@@ -27,7 +28,8 @@ double kernel_airy_beyond(double v)
         const double a = j0(v), b = j1(v);
         return a * a + b * b;
     }
-    // Hankel's expansions (Abramowitz and Stegun 9.2.5, 9.2.9, 9.2.10) to v^-3; what is left out is below 1e-10 of it.
+    // Hankel's expansions (Abramowitz and Stegun 9.2.5, 9.2.9, 9.2.10) to v^-3; what is left out is
+    // below 1e-10 of it.
     const double q = 1 / (v * v), p0 = 1 - 9.0 / 128 * q, q0 = (-1.0 / 8 + 75.0 / 1024 * q) / v;
     const double p1 = 1 + 15.0 / 128 * q, q1 = (3.0 / 8 - 105.0 / 1024 * q) / v;
     const double s = sin(v - M_PI_4), c = cos(v - M_PI_4);
@@ -40,7 +42,8 @@ static const double eye_core = 0.02, eye_share[3] = { .384, .478, .138 };
 double kernel_eye_at(double degrees)
 {
     const double u = degrees + eye_core, g = degrees / eye_core;
-    return eye_share[0] * 2.61e6 * exp(-g * g) + eye_share[1] * 20.91 / (u * u * u) + eye_share[2] * 72.37 / (u * u);
+    return eye_share[0] * 2.61e6 * exp(-g * g) + eye_share[1] * 20.91 / (u * u * u) +
+           eye_share[2] * 72.37 / (u * u);
 }
 
 double kernel_eye_beyond(double degrees)
@@ -80,7 +83,8 @@ static int table_make(struct radial *g, double v_max)
 }
 
 // The integral of T dphi along an edge at `distance` from the middle, between along -+ length / 2.
-static double edge_of(const struct radial *g, const struct kernel_points *p, double distance, double along, double length)
+static double edge_of(const struct radial *g, const struct kernel_points *p, double distance,
+                      double along, double length)
 {
     double sum = 0;
     for (unsigned n = 0; n < p->n; n++) {
@@ -106,8 +110,8 @@ static double below(const struct radial *g, int32_t i, int32_t j)
     return edge_of(g, points_of(g, i, j), j + 0.5, i * g->aspect, g->aspect);
 }
 
-// One band: the lower edges of a row are the upper ones of the next, so they are handed on in the row that they will
-// become: value[j + 1][i] holds H(i, j) until its turn.
+// One band: the lower edges of a row are the upper ones of the next, so they are handed on in the row
+// that they will become: value[j + 1][i] holds H(i, j) until its turn.
 static void band_draw(void *ctx, unsigned task, unsigned member)
 {
     (void)member;
@@ -129,7 +133,8 @@ static void band_draw(void *ctx, unsigned task, unsigned member)
     }
 }
 
-int kernel_draw_radial(struct kernel *k, const struct kernel_facts *facts, double cycles, double *total, struct crew *crew)
+int kernel_draw_radial(struct kernel *k, const struct kernel_facts *facts, double cycles, double *total,
+                       struct crew *crew)
 {
     struct radial g = { .k = k, .aspect = facts->pixel_aspect };
     const double r_max = hypot((k->max_x + 1) * g.aspect, k->max_y + 1);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// test_kernel.c - drawn kernels against published facts of each model, and against integrals over single pixels that share
-// no code with them: products of Simpson's rule on the formula of the paper.
+// test_kernel.c - drawn kernels against published facts of each model, and against integrals over single
+// pixels that share no code with them: products of Simpson's rule on the formula of the paper.
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -17,15 +17,22 @@ static struct crew *crew;
 
 static struct psf_spec spec_of(enum psf_kind kind)
 {
-    return (struct psf_spec){ .kind = kind, .weight = 1, .f_number = 8, .pitch_um = 5, .wavelength_nm = { 610, 550, 465 },
-                              .blades = 6, .degrees = 40 };
+    return (struct psf_spec){ .kind = kind,
+                              .weight = 1,
+                              .f_number = 8,
+                              .pitch_um = 5,
+                              .wavelength_nm = { 610, 550, 465 },
+                              .blades = 6,
+                              .degrees = 40 };
 }
 
 static struct kernel drawn(const struct psf_spec *s, uint32_t reach, double aspect, uint32_t height)
 {
-    const struct kernel_facts facts = { .psf = s, .reach_x = reach, .reach_y = reach, .pixel_aspect = aspect, .picture_height = height };
+    const struct kernel_facts facts = {
+        .psf = s, .reach_x = reach, .reach_y = reach, .pixel_aspect = aspect, .picture_height = height
+    };
     struct fault f;
-    struct kernel k;
+    struct kernel k = { 0 };
     if (kernel_check(&facts, &f) < 0 || kernel_draw(&k, &facts, 1, crew, &f) < 0)
         fail_msg("%s", f.text);
     return k;
@@ -48,14 +55,20 @@ static void near_to(double got, double wanted, double relative, const char *what
 }
 
 // Simpson with 2 * steps parts each way, over the pixel at (x, y).
-static double pixel_integral(double (*density)(const void *ctx, double x, double y), const void *ctx, int x, int y, double aspect,
-                             int steps)
+static double pixel_integral(double (*density)(const void *ctx, double x, double y), const void *ctx,
+                             int x, int y, double aspect, int steps)
 {
     double sum = 0;
     for (int i = 0; i <= 2 * steps; i++)
         for (int j = 0; j <= 2 * steps; j++) {
-            const double wi = i == 0 || i == 2 * steps ? 1 : i % 2 ? 4 : 2, wj = j == 0 || j == 2 * steps ? 1 : j % 2 ? 4 : 2;
-            sum += wi * wj * density(ctx, aspect * (x - 0.5 + i / (2.0 * steps)), y - 0.5 + j / (2.0 * steps));
+            const double wi = i == 0 || i == 2 * steps ? 1
+                              : i % 2                  ? 4
+                                                       : 2,
+                         wj = j == 0 || j == 2 * steps ? 1
+                              : j % 2                  ? 4
+                                                       : 2;
+            sum += wi * wj *
+                   density(ctx, aspect * (x - 0.5 + i / (2.0 * steps)), y - 0.5 + j / (2.0 * steps));
         }
     return sum * aspect / (36.0 * steps * steps);
 }
@@ -76,11 +89,13 @@ static void test_points_integrate_polynomials(void **state)
     }
 }
 
-/* ---- airy --------------------------------------------------------------------------------------------- */
+/* ---- airy
+ * --------------------------------------------------------------------------------------------- */
 
 static double airy_density(const void *ctx, double x, double y)
 {
-    const double cycles = *(const double *)ctx, v = M_PI * cycles * hypot(x, y), a = v > 1e-9 ? 2 * j1(v) / v : 1;
+    const double cycles = *(const double *)ctx, v = M_PI * cycles * hypot(x, y),
+                 a = v > 1e-9 ? 2 * j1(v) / v : 1;
     return M_PI / 4 * cycles * cycles * a * a;
 }
 
@@ -117,18 +132,21 @@ static void test_airy_rings(void **state)
     kernel_finish(&k);
 }
 
-static void pixels_compare(const char *name, const struct kernel *k, double share, double (*density)(const void *, double, double),
-                           const void *ctx, double aspect, int steps, double allowed)
+static void pixels_compare(const char *name, const struct kernel *k, double share,
+                           double (*density)(const void *, double, double), const void *ctx,
+                           double aspect, int steps, double allowed)
 {
-    static const int at[][2] = { { 0, 0 }, { 1, 0 }, { 0, 1 }, { 1, 1 }, { 3, 2 }, { 4, 0 }, { 15, 7 }, { 16, 9 }, { 40, 63 }, { 0, 100 },
-                                 { 97, 31 } };
+    static const int at[][2] = { { 0, 0 },  { 1, 0 },  { 0, 1 },   { 1, 1 },   { 3, 2 },  { 4, 0 },
+                                 { 15, 7 }, { 16, 9 }, { 40, 63 }, { 0, 100 }, { 97, 31 } };
     double worst = 0;
     for (unsigned i = 0; i < sizeof(at) / sizeof(*at); i++) {
         const int near = at[i][0] + at[i][1] < 6, x = at[i][0], y = at[i][1];
-        const double exact = share * pixel_integral(density, ctx, x, y, aspect, near ? 8 * steps : steps);
+        const double exact =
+            share * pixel_integral(density, ctx, x, y, aspect, near ? 8 * steps : steps);
         const double got = kernel_at(k, x, y) * (1 - k->outside), off = fabs(got / exact - 1);
         if (!(off <= allowed))
-            fail_msg("%s, aspect %g, pixel (%d, %d): %.10g, its integral is %.10g", name, aspect, x, y, got, exact);
+            fail_msg("%s, aspect %g, pixel (%d, %d): %.10g, its integral is %.10g", name, aspect, x, y,
+                     got, exact);
         worst = fmax(worst, off);
     }
     print_message("%s, aspect %g: worst pixel off by %.1e\n", name, aspect, worst);
@@ -169,7 +187,8 @@ static void test_airy_finer_than_drawn(void **state)
     kernel_finish(&k);
 }
 
-/* ---- eye ---------------------------------------------------------------------------------------------- */
+/* ---- eye
+ * ---------------------------------------------------------------------------------------------- */
 
 // The paper's formula, as printed.
 static double spencer(double degrees)
@@ -197,7 +216,8 @@ static void test_eye_is_normalised_as_published(void **state)
             const double at = a * pow(ratio, i);
             sum += (i == 0 || i == 64 ? 1 : i % 2 ? 4 : 2) * 2 * M_PI * at * at * spencer(at);
         }
-        near_to(kernel_eye_beyond(a) - kernel_eye_beyond(1.7 * a), sum * log(ratio) / 3, 1e-6, "eye's energy of a ring");
+        near_to(kernel_eye_beyond(a) - kernel_eye_beyond(1.7 * a), sum * log(ratio) / 3, 1e-6,
+                "eye's energy of a ring");
     }
 }
 
@@ -216,7 +236,8 @@ static void test_eye_pixels(void **state)
 
 static double slope_at(const struct kernel *k, int32_t r)
 {
-    return log(kernel_at(k, r + r / 10, 0) / kernel_at(k, r - r / 10, 0)) / log((r + r / 10.0) / (r - r / 10.0));
+    return log(kernel_at(k, r + r / 10, 0) / kernel_at(k, r - r / 10, 0)) /
+           log((r + r / 10.0) / (r - r / 10.0));
 }
 
 static void test_eye_tail(void **state)
@@ -243,9 +264,13 @@ static void test_eye_tail(void **state)
     kernel_finish(&k);
 }
 
-/* ---- aperture ------------------------------------------------------------------------------------------- */
+/* ---- aperture
+ * ------------------------------------------------------------------------------------------- */
 
-static double polygon_density(const void *ctx, double x, double y) { return kernel_polygon_at(ctx, x, y); }
+static double polygon_density(const void *ctx, double x, double y)
+{
+    return kernel_polygon_at(ctx, x, y);
+}
 
 // F by dividing the polygon into triangles from its middle, and each by midpoints.
 static double density_by_midpoints(const struct kernel_polygon *p, double x, double y)
@@ -254,7 +279,8 @@ static double density_by_midpoints(const struct kernel_polygon *p, double x, dou
     double re = 0, im = 0, area = 0;
     for (unsigned j = 0; j < p->corners; j++) {
         const unsigned next = (j + 1) % p->corners;
-        const double ax = p->x[j], ay = p->y[j], bx = p->x[next], by = p->y[next], a = (ax * by - ay * bx) / 2;
+        const double ax = p->x[j], ay = p->y[j], bx = p->x[next], by = p->y[next],
+                     a = (ax * by - ay * bx) / 2;
         for (unsigned s = 0; s < N; s++)
             for (unsigned t = 0; t < N; t++) {
                 const double u = (s + 0.5) / N, v = (t + 0.5) / N, w = 2 * a * u / (N * N);
@@ -277,7 +303,9 @@ static void test_polygon_closed_form(void **state)
         near_to(p.area, M_PI / 4 * 0.81, 1e-12, "area");
         for (unsigned i = 0; i < 24; i++) {
             // Every third on the very line of an edge's normal, where the closed form is 0/0.
-            const double turn = (11 + 180.0 / n + 360.0 / n * (i % n)) * M_PI / 180 + (i % 3 ? 0.01 * i : 0), r = 0.004 * pow(1.4, i);
+            const double turn = (11 + 180.0 / n + 360.0 / n * (i % n)) * M_PI / 180 +
+                                (i % 3 ? 0.01 * i : 0),
+                         r = 0.004 * pow(1.4, i);
             const double got = kernel_polygon_at(&p, r * cos(turn), r * sin(turn));
             const double wanted = r < 6 ? density_by_midpoints(&p, r * cos(turn), r * sin(turn)) : got;
             if (fabs(got - wanted) > 1e-3 * wanted + 1e-7 * p.area)
@@ -293,13 +321,15 @@ static unsigned spikes_of(const struct kernel *k, int32_t radius)
     for (int32_t y = -radius; y <= radius; y++)
         for (int32_t x = -radius; x <= radius; x++)
             if (fabs(hypot(x, y) - radius * 0.8) < radius * 0.2)
-                bin[(unsigned)(BINS + floor(BINS * (atan2(y, x) / (2 * M_PI)) + 0.5)) % BINS] += kernel_at(k, x, y);
+                bin[(unsigned)(BINS + floor(BINS * (atan2(y, x) / (2 * M_PI)) + 0.5)) % BINS] +=
+                    kernel_at(k, x, y);
     double mean = 0;
     for (unsigned i = 0; i < BINS; i++)
         mean += bin[i] / BINS;
     unsigned spikes = 0;
     for (unsigned i = 0; i < BINS; i++)
-        spikes += bin[i] > 2 * mean && bin[i] >= bin[(i + 1) % BINS] && bin[i] > bin[(i + BINS - 1) % BINS];
+        spikes +=
+            bin[i] > 2 * mean && bin[i] >= bin[(i + 1) % BINS] && bin[i] > bin[(i + BINS - 1) % BINS];
     return spikes;
 }
 
@@ -331,7 +361,8 @@ static void test_aperture_pixels(void **state)
     for (int x = -100; x <= 100; x += 8)
         for (int y = 0; y <= 100; y += 7) {
             const double exact = pixel_integral(polygon_density, &p, x, y, 1, 20);
-            // A ripple is as large as the mean around it, so compare with that: 1e-5 and 1e-2 of a ripple.
+            // A ripple is as large as the mean around it, so compare with that: 1e-5 and 1e-2 of a
+            // ripple.
             const double off = fabs(kernel_at(&k, x, y) * (1 - k.outside) - exact) / exact;
             double *worst = abs(x) <= KERNEL_NEAR && y <= KERNEL_NEAR ? &worst_near : &worst_far;
             *worst = fmax(*worst, off);
@@ -356,7 +387,8 @@ static void test_aperture_turns(void **state)
             // From +x towards +y.
             const double v = kernel_at(&a, x, y), floor = 1e-12;
             if (fabs(kernel_at(&b, x, y) - v) > floor || fabs(kernel_at(&c, -y, x) - v) > floor)
-                fail_msg("(%d, %d): %g, a fifth on %g, a quarter on %g", x, y, v, kernel_at(&b, x, y), kernel_at(&c, -y, x));
+                fail_msg("(%d, %d): %g, a fifth on %g, a quarter on %g", x, y, v, kernel_at(&b, x, y),
+                         kernel_at(&c, -y, x));
         }
     kernel_finish(&a);
     kernel_finish(&b);
@@ -395,7 +427,8 @@ static void test_aperture_seam(void **state)
     kernel_finish(&k);
 }
 
-/* ---- image, threads, bad facts ------------------------------------------------------------------------- */
+/* ---- image, threads, bad facts
+ * ------------------------------------------------------------------------- */
 
 static void test_image(void **state)
 {
@@ -404,7 +437,12 @@ static void test_image(void **state)
     for (unsigned i = 0; i < 36; i++)
         rgb[i] = (float)(i * i % 17) + 1;
     struct psf_spec s = spec_of(PSF_IMAGE);
-    struct kernel_facts facts = { .psf = &s, .reach_x = 9, .reach_y = 9, .pixel_aspect = 1, .image = rgb, .image_width = 4,
+    struct kernel_facts facts = { .psf = &s,
+                                  .reach_x = 9,
+                                  .reach_y = 9,
+                                  .pixel_aspect = 1,
+                                  .image = rgb,
+                                  .image_width = 4,
                                   .image_height = 3 };
     for (unsigned cut = 0; cut < 2; cut++)
         for (unsigned c = 0; c < 3; c++) {
@@ -434,13 +472,16 @@ static void test_threads_draw_the_same(void **state)
     for (int kind = PSF_EYE; kind <= PSF_APERTURE; kind++) {
         const struct psf_spec s = spec_of((enum psf_kind)kind);
         struct kernel first = { 0 };
-        const struct kernel_facts facts = { .psf = &s, .reach_x = 75, .reach_y = 90, .pixel_aspect = 1, .picture_height = 91 };
+        const struct kernel_facts facts = {
+            .psf = &s, .reach_x = 75, .reach_y = 90, .pixel_aspect = 1, .picture_height = 91
+        };
         for (unsigned threads = 1; threads <= 3; threads++) {
             struct crew *c;
             struct kernel k;
             assert_int_equal(crew_create(&c, threads), 0);
             assert_int_equal(kernel_draw(&k, &facts, 0, c, NULL), 0);
-            const size_t bytes = sizeof(double) * (size_t)(k.max_x - k.min_x + 1) * (size_t)(k.max_y - k.min_y + 1);
+            const size_t bytes =
+                sizeof(double) * (size_t)(k.max_x - k.min_x + 1) * (size_t)(k.max_y - k.min_y + 1);
             if (threads == 1)
                 first = k;
             else
@@ -468,8 +509,14 @@ static void test_bad_facts_are_refused(void **state)
     (void)state;
     float rgb[12] = { 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1 };
     struct psf_spec s = spec_of(PSF_IMAGE);
-    struct kernel_facts facts = { .psf = &s, .reach_x = 4, .reach_y = 4, .pixel_aspect = 1, .picture_height = 5, .image = rgb,
-                                  .image_width = 2, .image_height = 2 };
+    struct kernel_facts facts = { .psf = &s,
+                                  .reach_x = 4,
+                                  .reach_y = 4,
+                                  .pixel_aspect = 1,
+                                  .picture_height = 5,
+                                  .image = rgb,
+                                  .image_width = 2,
+                                  .image_height = 2 };
     assert_int_equal(kernel_check(&facts, NULL), 0);
     const float bad[] = { NAN, INFINITY, -INFINITY, -1e-30f };
     for (unsigned i = 0; i < 4; i++) {
