@@ -36,7 +36,7 @@ LIBS_PROTO := -lprotobuf-c
 # ---- rooms: one archive each, dependencies one way -------------------------------------------
 ROOM_proto := $(wildcard proto/*.c)
 ROOM_exr := $(wildcard daemon/exr*.c) daemon/frame.c
-ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c) daemon/plan.c daemon/psf.c
+ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c daemon/look*.c) daemon/plan.c daemon/psf.c
 ROOM_params := daemon/params.c
 ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
 ROOM_client := $(wildcard client/lib*.c)

@@ -11,6 +11,7 @@
 #include <time.h>
 
 #include "bloom_internal.h"
+#include "look.h"
 #include "spirv.h"
 
 enum { LEDGER_CELLS = 256 }; // the coarsest level is at most this wide and high, for its sum is read back
@@ -271,10 +272,9 @@ static int record_composite(struct frame *fr, struct round *r, unsigned order)
     return 0;
 }
 
-static void record_staging(struct frame *fr, struct bloom_slot *s, bool up)
+void slot_copy(struct bloom *b, struct bloom_slot *s, struct slot_target *t, bool up)
 {
-    struct vk_commands *c = &fr->b->commands;
-    struct slot_target *t = fr->target;
+    struct vk_commands *c = &b->commands;
     const VkDeviceSize row = (VkDeviceSize)t->texels * 16;
     const unsigned n = up ? t->geometry.channels : LEVEL_PHASES;
     for (unsigned i = 0; i < n; i++) {
@@ -302,7 +302,7 @@ static int record_frame(struct frame *fr, struct bloom_slot *s)
         return -1;
     b->passes = 0;
     if (b->staged)
-        record_staging(fr, s, true);
+        slot_copy(b, s, fr->target, true);
     const bool fused = !b->targets.shape.full_size;
     if (record_bright(fr, fused ? b->plan->order[0] : 0) < 0)
         return -1;
@@ -314,7 +314,7 @@ static int record_frame(struct frame *fr, struct bloom_slot *s)
         ledger_record(&b->commands, &b->ledger, &b->targets, fr->f) < 0)
         return -1;
     if (b->staged)
-        record_staging(fr, s, false);
+        slot_copy(b, s, fr->target, false);
     vk_to_host(&b->commands);
     return 0;
 }
@@ -511,6 +511,13 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     struct bloom_reply r = { 0 };
     set_bright(&fr);
     count_tiles(&fr, &r);
+    if (request->params->look) {
+        r.exposure = request->params->exposure;
+        if (look_run(b, s, target, request, r.exposure, &r, f) < 0)
+            return -1;
+        *reply = r;
+        return 0;
+    }
     if (prepare_plan(&fr) < 0)
         return -1;
     const bool dark = r.max_bright == 0 || !b->plan->count || request->params->intensity == 0;
@@ -580,6 +587,7 @@ void bloom_destroy(struct bloom *b)
         return;
     if (b->vk.device) {
         vkDeviceWaitIdle(b->vk.device);
+        look_destroy(b, b->look);
         ledger_clear(&b->ledger);
         vk_buffer_free(&b->vk, &b->ledger.buffer);
         targets_destroy(&b->vk, &b->targets);

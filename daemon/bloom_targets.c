@@ -171,6 +171,12 @@ static void describe(const struct bloom *b, const struct bloom_slot *s, const st
     }
 }
 
+void slot_input(const struct bloom *b, const struct bloom_slot *s, unsigned target, struct planes *in)
+{
+    struct planes out;
+    describe(b, s, &s->target[target], in, &out);
+}
+
 static int make_target(struct bloom *b, struct placing *p, struct slot_target *t,
                        const struct bloom_geometry *g, VkDeviceSize *staging, struct fault *f)
 {
