@@ -11,7 +11,8 @@
 #include "bloom_internal.h"
 #include "look.h"
 
-enum { LOOK_TAPS_MAX = 16, LOOK_IMAGES_MAX = 24, LOOK_STAGES_MAX = 128, LOOK_PIPELINES_MAX = 64 };
+enum { LOOK_TAPS_MAX = 16, LOOK_IMAGES_MAX = 24, LOOK_STAGES_MAX = 128, LOOK_PIPELINES_MAX = 64,
+       LOOK_SIZE_MAX = 16384 };
 
 struct look_tap {
     float dx, dy; /* texels of the source */

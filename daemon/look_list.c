@@ -313,7 +313,7 @@ static bool power_of_2(float v) { return v == 0 || frexpf(v, &(int){ 0 }) == .5f
 static double roundings(const struct look_list *l, const struct look_stage *s)
 {
     if (s->kind == LOOK_LOAD_MATTE || s->kind == LOOK_LOAD)
-        return 2;
+        return s->src >= 0 ? 3 : 0; // the matte's two products, and emission's own
     if (s->kind == LOOK_SUN)
         return 8; // of exp(-u) in u: 3 roundings times u exp(-u) < .4; the series, the weight, the sum
     bool whole = true, exact = true;
@@ -335,6 +335,7 @@ static double roundings(const struct look_list *l, const struct look_stage *s)
 static void count_roundings(struct look_list *l, const struct look_facts *f)
 {
     double before[LOOK_IMAGES_MAX] = { 0 }, after[LOOK_IMAGES_MAX] = { 0 }, gain[LOOK_IMAGES_MAX] = { 0 };
+    bool lit[LOOK_IMAGES_MAX] = { false }; // past the curve
     for (unsigned i = 0; i < l->stages; i++) {
         const struct look_stage *s = &l->stage[i];
         const int from = s->kind == LOOK_SAMPLE ? s->src : s->kind == LOOK_SUN ? s->add : -1;
@@ -343,18 +344,13 @@ static void count_roundings(struct look_list *l, const struct look_facts *f)
             sum += s->tap[t].weight;
         sum = from < 0 || s->kind == LOOK_SUN ? 1 : sum * fmax(s->weight[0], fmax(s->weight[1], s->weight[2]));
         double g = from >= 0 ? gain[from] * sum : 1;
-        if (s->curve || (b > 0 && a == 0))
-            b += n;
-        else if (from < 0)
-            b = n;
-        else
-            a += n;
+        const bool past = from >= 0 && lit[from];
+        *(past ? &a : &b) += n;
         if (s->curve) {
             // E = I * s(L): 3 products and sums of L, 5 of s and its product; smoothstep is 1.5 / 2TK steep at L = T(1 + K).
             const double k = f->params->knee;
             const double slope = l->curve != BRIGHT_SMOOTHSTEP ? 1 : k > 0 ? 1 + .75 * (1 + k) / k : 0x1p24;
             b = (b + 8) * slope;
-            a = 1;
         }
         if (s->kind == LOOK_SAMPLE && s->add >= 0) {
             b = fmax(b, before[s->add]);
@@ -364,6 +360,7 @@ static void count_roundings(struct look_list *l, const struct look_facts *f)
         before[s->dst] = b;
         after[s->dst] = a;
         gain[s->dst] = g;
+        lit[s->dst] = past || s->curve;
     }
     const double most = fmax(1, gain[l->glow] * f->params->intensity);
     // A bilinear sample by the store, its product and the sum; a display's curves round some 30 times.

@@ -84,11 +84,13 @@ int look_targets_prepare(struct bloom *b, struct fault *f)
         return 0;
     clear_images(v, t);
     struct places p = { .types = ~0u };
+    // Positions are exact integers in the shaders, 2 * size^2 at most.
+    const uint32_t most = b->info.max_dimension < LOOK_SIZE_MAX ? b->info.max_dimension : LOOK_SIZE_MAX;
     for (unsigned i = 0; i < t->list.images; i++) {
-        const uint32_t w = t->list.image[i].width, h = t->list.image[i].height, most = b->info.max_dimension;
+        const uint32_t w = t->list.image[i].width, h = t->list.image[i].height;
         t->images = i + 1;
         if (w > most || h > most) {
-            fault_set(f, FAULT_LIMIT, "input", "%u x %u pixels: the device takes images up to %u x %u", w, h, most, most);
+            fault_set(f, FAULT_LIMIT, "input", "%u x %u pixels: a look takes frames up to %u x %u here", w, h, most, most);
             goto fail;
         }
         if (vk_image_create(v, &t->image[i], VK_FORMAT_R32G32B32A32_SFLOAT, w, h, 1, false, f) < 0 ||

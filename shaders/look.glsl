@@ -21,17 +21,24 @@ const float FLOAT_MAX = 3.4028235e38;
 bool nonfinite(uint bits) { return (bits & 0x7f800000u) == 0x7f800000u; }
 float finite_part(float v) { return nonfinite(floatBitsToUint(v)) ? 0.0 : max(v, 0.0); }
 
-// Pixel x of `to` lies at cell + t texels of `from`: exact in integers, for a float's position would be off by 1e-5 at x = 300.
+// Pixel x of `to` lies at cell + t texels of `from`: exact in integers, for a float's position would be off by 1e-5 at x = 300. Sizes to 16384.
 void along(int x, int from, int to, out int cell, out float t)
 {
-    uint d = 2u * uint(to);
-    uint n = uint(2 * x + 1) * uint(from) + uint(to);
-    uint q = n / d;
-    cell = int(q) - 1;
-    t = float(n - q * d) / float(d);
+    int d = 2 * to, n = (2 * x + 1) * from + to;
+    // The quotient of floats is off by one at most; integer division is done a lane at a time on CPUs.
+    int q = int(float(n) / float(d)), rest = n - q * d;
+    if (rest < 0) {
+        q--;
+        rest += d;
+    } else if (rest >= d) {
+        q++;
+        rest -= d;
+    }
+    cell = q - 1;
+    t = float(rest) / float(d);
 }
 
-// One sample of `image`, `offset` texels away, clamped to the edge. pass.xy: width and height.
+// The four texels around pixel `at` of an image of size `to` in one of size `from`, `offset` texels away, clamped to the edge.
 void corners(ivec2 at, ivec2 from, ivec2 to, vec2 offset, out ivec2 low, out ivec2 high, out vec2 t)
 {
     ivec2 cell;

@@ -58,7 +58,7 @@ void main()
     ivec2 at = ivec2(gl_FragCoord.xy);
     // Four sums side by side: a chain of additions a quarter as long rounds less.
     vec3 sum[4] = vec3[](vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0));
-    [[unroll]] for (int i = 0; i < TAPS; i++) {
+    for (int i = 0; i < TAPS; i++) {
         vec4 tap = stage.tap[i];
         vec4 v = SRC_TEXELS == 1 ? imageLoad(src, clamp(at + ivec2(tap.xy), ivec2(0), stage.src.xy - 1))
                                  : src_bilinear(at, stage.src.xy, stage.dst.xy, tap.xy);

@@ -104,7 +104,7 @@ uvec4 line(ivec2 q, int row, int block)
 #else
     uvec4 own = imageLoad(planes[0], q);
 #endif
-    [[unroll]] for (int i = 0; i < WIDE; i++) {
+    for (int i = 0; i < WIDE; i++) {
         ivec2 at = ivec2(q.x * WIDE + i, row);
         vec3 glow = glow_at(at);
         float factor = factor_at(at), display = 0.0;
@@ -130,7 +130,7 @@ void main()
     ivec2 at = ivec2(gl_FragCoord.xy);
     int block = at.y / stage.dst.z, group = at.y - block * stage.dst.z;
     uvec4 rows[4];
-    [[unroll]] for (int p = 0; p < 4; p++) {
+    [[dont_unroll]] for (int p = 0; p < 4; p++) {
         int row = min(4 * group + p, stage.dst.y - 1);
         rows[p] = line(ivec2(at.x, row), row, block);
     }
