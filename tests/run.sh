@@ -41,7 +41,7 @@ run() { # label command...
     fi
 }
 
-for t in psf plan frame params reference wire conn libairy libairy_request libairy_bad frames exr exr_bad raw engine sched \
+for t in psf plan frame params reference wire conn libairy libairy_request libairy_bad frames exr exr_bad raw engine look sched \
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
 done
@@ -56,7 +56,7 @@ for t in psf plan frame params reference wire conn libairy libairy_request libai
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
 done
-for t in engine sched; do
+for t in engine look sched; do
     run "asan-$t" $keep "$A/tests/test_$t"
 done
 S=$BUILD/tsan
