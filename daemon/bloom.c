@@ -356,22 +356,20 @@ static int check_request(const struct frame *fr)
 }
 
 // A target is no companion of itself.
-static struct slot_target *other_target(struct bloom_slot *s, int i, unsigned target)
-{
-    assert(i < (int)s->count);
-    return i < 0 || (unsigned)i == target ? NULL : &s->target[i];
-}
+static int companion(int i, unsigned target) { return i < 0 || (unsigned)i == target ? -1 : i; }
 
-int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *request,
+int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *asked,
               struct bloom_reply *reply, struct fault *f)
 {
-    struct frame fr = { .b = b, .slot = s, .target = &s->target[target], .request = request, .params = request->params,
+    struct bloom_request request = *asked;
+    request.source = companion(asked->source, target);
+    request.matte = companion(asked->matte, target);
+    request.depth = companion(asked->depth, target);
+    struct frame fr = { .b = b, .slot = s, .target = &s->target[target], .request = &request, .params = request.params,
                         .f = f };
-    fr.matte = other_target(s, request->matte, target);
-    fr.source = other_target(s, request->source, target);
-    fr.scan = fr.source ? request->source_scan : request->scan;
-    if (!fr.source)
-        fr.source = fr.target;
+    fr.matte = request.matte >= 0 ? &s->target[request.matte] : NULL;
+    fr.source = request.source >= 0 ? &s->target[request.source] : fr.target;
+    fr.scan = request.source >= 0 ? request.source_scan : request.scan;
     struct bloom_reply r = { 0 };
     const double start = now_ms();
     if (check_request(&fr) < 0)
@@ -384,12 +382,12 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     bright_set(&fr);
     bright_count(&fr, &r);
     if (fr.params->look != LOOK_NONE) {
-        if (look_run(b, s, target, request, fr.exposure, &r, f) < 0)
+        if (look_run(b, s, target, &request, fr.exposure, &r, f) < 0)
             return -1;
         *reply = r;
         return 0;
     }
-    if (find_plan(b, request, &fr.target->geometry, f) < 0)
+    if (find_plan(b, &request, &fr.target->geometry, f) < 0)
         return -1;
     set_features(&fr);
     const bool no_plan = fr.fft ? fr.params->psf_spec.weight == 0 : !b->plan->count;

@@ -91,6 +91,18 @@ struct bloom_slot {
 
 void slot_destroy(struct vk *v, struct bloom_slot *s);
 
+/* A target's input planes, as bloom_slot_prepare returned them. */
+void slot_input(const struct bloom *b, const struct bloom_slot *s, unsigned target, struct planes *in);
+/* When staged, else nothing: records the copy of a target's input planes to the device (up), or of its output planes from it. */
+void slot_copy(struct bloom *b, struct bloom_slot *s, struct slot_target *t, bool up);
+/* Pictures that a scene target's output planes hold, and the image of one's rows y % LEVEL_PHASES == phase. */
+static inline unsigned slot_outputs(const struct slot_target *t) { return t->geometry.outputs; }
+static inline struct vk_image *slot_output(struct slot_target *t, unsigned output, unsigned phase)
+{
+    assert(output < slot_outputs(t));
+    return &t->out[output][phase];
+}
+
 /* ---- the ledger: sums over E, read back from small pieces of the pyramid ------------------------- */
 
 struct ledger_region { /* cells of one level, all its channels */

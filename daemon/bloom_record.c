@@ -363,11 +363,17 @@ static void stage_image(struct vk_commands *c, const struct bloom_slot *s, struc
         vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, s->staging.buffer, 1, &copy);
 }
 
-static void stage_inputs(struct frame *fr, struct slot_target *t)
+void slot_copy(struct bloom *b, struct bloom_slot *s, struct slot_target *t, bool up)
 {
+    if (!b->staged)
+        return;
     const VkDeviceSize plane = (VkDeviceSize)t->texels * 16 * t->height;
-    for (unsigned i = 0; i < t->geometry.channels; i++)
-        stage_image(&fr->b->commands, fr->slot, &t->in[i], t->staging_in + i * plane, true);
+    const VkDeviceSize phase = (VkDeviceSize)t->texels * 16 * t->groups * t->geometry.channels;
+    for (unsigned i = 0; up && i < t->geometry.channels; i++)
+        stage_image(&b->commands, s, &t->in[i], t->staging_in + i * plane, true);
+    for (unsigned o = 0; !up && o < t->geometry.outputs; o++)
+        for (unsigned i = 0; i < LEVEL_PHASES; i++)
+            stage_image(&b->commands, s, &t->out[o][i], t->staging_out + (o * LEVEL_PHASES + i) * phase, false);
 }
 
 int record_begin(struct frame *fr)
@@ -376,25 +382,18 @@ int record_begin(struct frame *fr)
     if (vk_begin(&b->commands, fr->f) < 0)
         return -1;
     b->passes = 0;
-    if (b->staged) {
-        stage_inputs(fr, fr->target);
-        if (fr->source != fr->target)
-            stage_inputs(fr, fr->source);
-        if (fr->matte)
-            stage_inputs(fr, fr->matte);
-    }
+    slot_copy(b, fr->slot, fr->target, true);
+    if (fr->source != fr->target)
+        slot_copy(b, fr->slot, fr->source, true);
+    if (fr->matte)
+        slot_copy(b, fr->slot, fr->matte, true);
     return 0;
 }
 
 int record_end(struct frame *fr)
 {
     struct bloom *b = fr->b;
-    const struct slot_target *t = fr->target;
-    const VkDeviceSize phase = (VkDeviceSize)t->texels * 16 * t->groups * t->geometry.channels;
-    for (unsigned o = 0; b->staged && o < t->geometry.outputs; o++)
-        for (unsigned i = 0; i < LEVEL_PHASES; i++)
-            stage_image(&b->commands, fr->slot, &fr->target->out[o][i], t->staging_out + (o * LEVEL_PHASES + i) * phase,
-                        false);
+    slot_copy(b, fr->slot, fr->target, false);
     vk_to_host(&b->commands);
     return vk_submit_and_wait(&b->commands, fr->f);
 }

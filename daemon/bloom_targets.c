@@ -199,6 +199,11 @@ static void clear_input(const struct bloom *b, const struct bloom_slot *s, const
         memset(in.base[c] - corner, 0, in.pitch_bytes * t->height);
 }
 
+void slot_input(const struct bloom *b, const struct bloom_slot *s, unsigned target, struct planes *in)
+{
+    describe_input(b, s, &s->target[target], in);
+}
+
 static int make_target(struct bloom *b, struct placing *p, struct slot_target *t,
                        const struct bloom_geometry *g, VkDeviceSize *staging, struct fault *f)
 {

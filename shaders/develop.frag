@@ -78,10 +78,10 @@ float developed(float base, float b, ivec2 pixel, int c)
     case VIEW_RESIDUAL: v = scene - e; break;
     default:
         if (MODE == MODE_SCREEN && DISPLAY)
-            return tone_map(TONE, max(clamp(scene, -FLOAT_MAX, FLOAT_MAX) * pass.luma.w, 0.0)) + k * b;
+            return tone_map(min(max(scene * pass.luma.w, 0.0), FLOAT_MAX), TONE) + k * b;
         v = MODE == MODE_MIX ? scene + k * (b - e) : scene + k * b;
         if (DISPLAY)
-            v = tone_map(TONE, max(clamp(v, -FLOAT_MAX, FLOAT_MAX) * pass.luma.w, 0.0));
+            v = tone_map(min(max(v * pass.luma.w, 0.0), FLOAT_MAX), TONE);
     }
     return clamp(v, -FLOAT_MAX, FLOAT_MAX);
 }
@@ -125,14 +125,13 @@ void main()
             float value;
             if (SATURATE) {
                 vec3 rgb = vec3(v[0][p][i], v[CHANNELS / 2][p][i], v[CHANNELS - 1][p][i]);
-                float l = dot(rgb, pass.luma.rgb);
-                float mine = own == 0 ? rgb.r : own == 1 ? rgb.g : rgb.b;
-                value = max(l + pass.limit.w * (mine - l), 0.0);
+                rgb = saturated(rgb, pass.luma.rgb, pass.limit.w);
+                value = own == 0 ? rgb.r : own == 1 ? rgb.g : rgb.b;
             } else {
                 value = v[0][p][i];
             }
             if (DISPLAY)
-                value = encode(ENCODING, value);
+                value = encoded(value, ENCODING);
             float base = sample_bits(own_bits[p], i, IS_HALF);
             bool bad = nonfinite(floatBitsToUint(base));
             // A view of the glow alone has nothing of the scene to keep.

@@ -1,7 +1,8 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
-# embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h: the words
-# of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pipeline.c asks by name.
+# embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h and, for
+# the named looks, OUT_DIR/spirv_look.h: the words of each, and a table of names. A variant's name says its -D flags; daemon/bloom.c and
+# daemon/look_targets.c ask by name.
 set -eu
 cd "$(dirname "$0")/.."
 out=$1
@@ -47,13 +48,31 @@ for reach in 1 2 3 4 6 10; do
     one blur_v_r$reach blur.frag -DREACH=$reach -DVERTICAL
     one blur_v_add_r$reach blur.frag -DREACH=$reach -DVERTICAL -DADD_SAME
 done
-{
-    echo "/* Made by shaders/embed.sh. */"
-    echo "#include <stddef.h>"
-    echo "#include <stdint.h>"
-    cat "$tmp/all"
-    echo "struct spirv_entry { const char *name; const uint32_t *words; size_t bytes; };"
-    echo "static const struct spirv_entry spirv_table[] = {"
-    printf '%s};\n' "$table"
-} >"$tmp/spirv.h"
-mv "$tmp/spirv.h" "$out/spirv.h"
+finish() { # header table: what `one` has gathered
+    {
+        echo "/* Made by shaders/embed.sh. */"
+        echo "#include <stddef.h>"
+        echo "#include <stdint.h>"
+        cat "$tmp/all"
+        echo "struct spirv_entry { const char *name; const uint32_t *words; size_t bytes; };"
+        echo "static const struct spirv_entry $2[] = {"
+        printf '%s};\n' "$table"
+    } >"$tmp/header"
+    mv "$tmp/header" "$out/$1"
+    rm "$tmp/all"
+    table=
+}
+finish spirv.h spirv_table
+for matte in "" _matte; do
+    m=${matte:+-DMATTE}
+    one load$matte stage.frag -DLOAD $m
+    one load_half$matte stage.frag -DLOAD -DHALF $m
+    for all in "" _all; do
+        one store$all$matte store.frag $m ${all:+-DALL}
+        one store_half$all$matte store.frag -DHALF $m ${all:+-DALL}
+    done
+done
+one sample stage.frag -DSAMPLE
+one sample_add stage.frag -DSAMPLE -DADD
+one sun stage.frag -DSUN
+finish spirv_look.h spirv_look_table

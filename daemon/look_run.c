@@ -1,0 +1,299 @@
+// SPDX-License-Identifier: Apache-2.0
+// look_run.c - runs a look's list: prepare, record each stage, store each output, account.
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+#include "look_internal.h"
+
+struct run {
+    struct bloom *b;
+    struct bloom_slot *slot;
+    struct slot_target *target;
+    const struct bloom_request *request;
+    double exposure;
+    unsigned draws;
+    struct fault *f;
+};
+
+/* ---- recording ------------------------------------------------------------------------------------- */
+
+static struct stage_uniforms *begin_draw(struct run *r, struct vk_draw *d)
+{
+    struct look_targets *t = r->b->look;
+    const struct bloom_geometry *g = &r->target->geometry;
+    assert(r->draws < LOOK_DRAWS_MAX);
+    d->uniforms = t->uniforms.buffer;
+    d->uniforms_offset = (VkDeviceSize)r->draws++ * UNIFORM_STRIDE;
+    d->uniforms_bytes = sizeof(struct stage_uniforms);
+    struct stage_uniforms *u = (struct stage_uniforms *)(void *)(t->uniforms.memory.map + d->uniforms_offset);
+    memset(u, 0, sizeof(*u));
+    memcpy(u->bright, t->list.numbers, sizeof(u->bright));
+    for (unsigned c = 0; c < 3; c++)
+        u->luma[c] = g->channels == 1 ? c == 0 : r->request->luma[c];
+    u->luma[3] = (float)r->request->params->saturation;
+    return u;
+}
+
+static void image_size(int32_t out[4], const struct vk_image *m)
+{
+    out[0] = (int32_t)m->width;
+    out[1] = (int32_t)m->height;
+}
+
+static void read_planes(struct vk_draw *d, struct slot_target *t)
+{
+    for (unsigned c = 0; c < VK_PLANES; c++)
+        d->in[c] = &t->in[c < t->geometry.channels ? c : 0];
+}
+
+static bool same_size(const struct vk_image *a, const struct vk_image *b)
+{
+    return a->width == b->width && a->height == b->height;
+}
+
+static bool whole_texels(const struct look_stage *s)
+{
+    for (unsigned i = 0; i < s->taps; i++)
+        if (s->tap[i].dx != floorf(s->tap[i].dx) || s->tap[i].dy != floorf(s->tap[i].dy))
+            return false;
+    return true;
+}
+
+static const char *load_name(const struct slot_target *t, bool matte)
+{
+    static const char *const name[2][2] = { { "load", "load_matte" }, { "load_half", "load_half_matte" } };
+    return name[t->geometry.type == PIXEL_TYPE_HALF][matte];
+}
+
+static const char *stage_name(const struct run *r, const struct look_stage *s, struct vk_draw *d)
+{
+    struct slot_target *from = r->target;
+    switch (s->kind) {
+    case LOOK_SAMPLE: return s->add >= 0 ? "sample_add" : "sample";
+    case LOOK_SUN: return "sun";
+    case LOOK_LOAD_MATTE: from = &r->slot->target[r->request->matte]; break;
+    case LOOK_LOAD: from = r->request->source >= 0 ? &r->slot->target[r->request->source] : r->target; break;
+    }
+    read_planes(d, from);
+    return load_name(from, s->src >= 0);
+}
+
+static void set_numbers(const struct run *r, const struct look_stage *s, struct stage_uniforms *u)
+{
+    const struct params *p = r->request->params;
+    const float *sun = r->b->look->list.sun;
+    memcpy(u->weight, s->weight, sizeof(s->weight));
+    u->dst[3] = s->kind == LOOK_LOAD_MATTE ? 1 : (int32_t)r->target->geometry.channels;
+    if (s->kind == LOOK_LOAD) {
+        // With the bloom off there is no light to glow.
+        u->weight[0] = p->bloom == SWITCH_OFF ? 0 : 1;
+        u->weight[3] = (float)p->emission;
+    }
+    memcpy(u->numbers, sun, sizeof(u->numbers));
+    memcpy(u->more, sun + 4, sizeof(u->more));
+    for (unsigned i = 0; i < s->taps; i++) {
+        u->tap[i][0] = s->tap[i].dx;
+        u->tap[i][1] = s->tap[i].dy;
+        u->tap[i][2] = s->tap[i].weight;
+    }
+}
+
+static int record_stage(struct run *r, const struct look_stage *s)
+{
+    struct look_targets *t = r->b->look;
+    struct vk_draw d = { .src = s->src >= 0 ? &t->image[s->src] : NULL, .add = s->add >= 0 ? &t->image[s->add] : NULL,
+                         .dst = &t->image[s->dst] };
+    const char *name = stage_name(r, s, &d);
+    const int32_t spec[4] = { s->curve ? (int32_t)t->list.curve : 0,
+                              s->kind == LOOK_SAMPLE && same_size(d.src, d.dst) && whole_texels(s),
+                              s->kind == LOOK_SAMPLE && d.add && same_size(d.add, d.dst), s->taps ? (int32_t)s->taps : 1 };
+    d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_SFLOAT, 1, spec, r->f);
+    if (!d.pipeline)
+        return -1;
+    struct stage_uniforms *u = begin_draw(r, &d);
+    if (d.src)
+        image_size(u->src, d.src);
+    if (d.add)
+        image_size(u->add, d.add);
+    image_size(u->dst, d.dst);
+    set_numbers(r, s, u);
+    d.area = (VkRect2D){ { 0, 0 }, { d.dst->width, d.dst->height } };
+    vk_draw(&r->b->commands, &d);
+    return 0;
+}
+
+static bool displays(const struct params *p)
+{
+    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
+}
+
+static int record_store(struct run *r, unsigned output, enum view view)
+{
+    struct look_targets *t = r->b->look;
+    const struct params *p = r->request->params;
+    struct slot_target *slot = r->target;
+    const struct bloom_geometry *g = &slot->geometry;
+    const bool show = view == VIEW_FINAL && displays(p), matte = t->list.matte >= 0;
+    const bool all = show && p->saturation != 1 && g->channels == 3;
+    char name[40];
+    snprintf(name, sizeof(name), "store%s%s%s", g->type == PIXEL_TYPE_HALF ? "_half" : "", all ? "_all" : "",
+             matte ? "_matte" : "");
+    struct vk_draw d = { .src = matte ? &t->image[t->list.matte] : NULL,
+                         .add = &t->image[view == VIEW_BRIGHT ? t->list.bright : t->list.glow] };
+    const int32_t spec[4] = { d.add->width == g->width && d.add->height == g->height, show };
+    d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_UINT, LEVEL_PHASES, spec, r->f);
+    if (!d.pipeline)
+        return -1;
+    struct stage_uniforms *u = begin_draw(r, &d);
+    image_size(u->add, d.add);
+    const int32_t dst[4] = { (int32_t)g->width, (int32_t)g->height, (int32_t)slot->groups, (int32_t)g->channels };
+    memcpy(u->dst, dst, sizeof(dst));
+    const int32_t mode[4] = { p->nonfinite, (int32_t)view, p->display, p->encoding };
+    memcpy(u->mode, mode, sizeof(mode));
+    u->weight[0] = view == VIEW_BRIGHT ? 1 : (float)p->intensity;
+    u->weight[3] = (float)p->emission;
+    u->numbers[0] = (float)exp2(r->exposure);
+    u->numbers[1] = p->look == LOOK_AIRY_EIGHT;
+    read_planes(&d, slot);
+    for (unsigned i = 0; i < LEVEL_PHASES; i++)
+        d.dst_each[i] = slot_output(slot, output, i);
+    d.area = (VkRect2D){ { 0, 0 }, { slot->texels, slot->groups * g->channels } };
+    d.bands = all ? 1 : g->channels;
+    vk_draw(&r->b->commands, &d);
+    return 0;
+}
+
+static enum view output_view(const struct params *p, unsigned output)
+{
+    return output ? p->layer[output - 1].view : p->view_spec.view;
+}
+
+static int record(struct run *r)
+{
+    const struct params *p = r->request->params;
+    const struct look_list *l = &r->b->look->list;
+    if (vk_begin(&r->b->commands, r->f) < 0)
+        return -1;
+    slot_copy(r->b, r->slot, r->target, true);
+    if (r->request->source >= 0)
+        slot_copy(r->b, r->slot, &r->slot->target[r->request->source], true);
+    if (r->request->matte >= 0)
+        slot_copy(r->b, r->slot, &r->slot->target[r->request->matte], true);
+    for (unsigned i = 0; i < l->stages; i++)
+        if (record_stage(r, &l->stage[i]) < 0)
+            return -1;
+    for (unsigned i = 0; i < slot_outputs(r->target); i++)
+        if (record_store(r, i, output_view(p, i)) < 0)
+            return -1;
+    slot_copy(r->b, r->slot, r->target, false);
+    vk_to_host(&r->b->commands);
+    return 0;
+}
+
+/* ---- what is asked ----------------------------------------------------------------------------------- */
+
+static bool wants(const struct run *r, enum view view)
+{
+    for (unsigned i = 0; i < slot_outputs(r->target); i++)
+        if (output_view(r->request->params, i) == view)
+            return true;
+    return false;
+}
+
+static int check(const struct run *r)
+{
+    const struct params *p = r->request->params;
+    const struct bloom_geometry *g = &r->target->geometry;
+    for (unsigned i = 0; i < slot_outputs(r->target); i++) {
+        char name[32];
+        if (output_view(p, i) <= VIEW_BLOOM)
+            continue;
+        params_view_name(i ? &p->layer[i - 1] : &p->view_spec, name);
+        return fault_set(r->f, FAULT_PARAM_CONFLICT, i ? "params.layers" : "params.view",
+                         "view %s with look %s: final, source, bright or bloom expected", name, look_name(p->look));
+    }
+    if (g->grow)
+        return fault_set(r->f, FAULT_PARAM_CONFLICT, "params.grow", "%u pixels with look %s: 0 expected, for a look's edges "
+                         "are clamped", g->grow, look_name(p->look));
+    return 0;
+}
+
+// Nothing glows: every curve is 0 at or below its foot, and no sample exceeds the largest of the frame.
+static bool dark(const struct run *r)
+{
+    const struct params *p = r->request->params;
+    const struct look_list *l = &r->b->look->list;
+    const struct frame_scan *scan = r->request->source >= 0 ? r->request->source_scan : r->request->scan;
+    if (p->bloom == SWITCH_OFF || p->intensity == 0)
+        return true;
+    if (p->look == LOOK_MIP_CHAIN && p->sun_spec.given && p->sun_spec.gain > 0)
+        return false;
+    const double most = l->curve == BRIGHT_CHANNEL ? frame_scan_max_channel(scan) : frame_scan_max_luma(scan);
+    return most == 0 || (r->request->matte < 0 && most <= l->foot);
+}
+
+static bool untouched(const struct run *r)
+{
+    const struct params *p = r->request->params;
+    const struct frame_scan *s = r->request->scan;
+    const bool bad = s->nan || s->positive_inf || s->negative_inf;
+    if ((p->nonfinite == NONFINITE_ZERO && bad) || slot_outputs(r->target) > 1 || (r->request->matte >= 0 && p->emission != 1))
+        return false;
+    if (p->view_spec.view == VIEW_SOURCE)
+        return true;
+    return p->view_spec.view == VIEW_FINAL && !displays(p) && dark(r);
+}
+
+static double now_ms(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
+}
+
+static void make_list(struct run *r)
+{
+    const struct bloom_request *q = r->request;
+    const struct bloom_geometry *g = &r->target->geometry;
+    const struct look_facts facts = {
+        .params = q->params,
+        .width = g->width,
+        .height = g->height,
+        .channels = g->channels,
+        .exposure = r->exposure,
+        .pixel_aspect = q->pixel_aspect,
+        .display_width = q->display_width,
+        .matte = q->matte >= 0,
+        .want_bright = wants(r, VIEW_BRIGHT),
+        .sun_share = q->params->look == LOOK_MIP_CHAIN ? look_sun_share(r->b, r->slot, q) : 1,
+    };
+    look_list_make(&r->b->look->list, &facts);
+}
+
+int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *request,
+             double exposure, struct bloom_reply *reply, struct fault *f)
+{
+    struct run r = { .b = b, .slot = s, .target = &s->target[target], .request = request, .exposure = exposure, .f = f };
+    const struct params *p = request->params;
+    if (check(&r) < 0 || look_targets_create(b, f) < 0)
+        return -1;
+    make_list(&r);
+    if (untouched(&r)) {
+        reply->untouched = true;
+        snprintf(reply->plan, sizeof(reply->plan), "untouched: look %s adds nothing to this frame", look_name(p->look));
+        snprintf(reply->rule, sizeof(reply->rule), "-");
+        return 0;
+    }
+    const double start = now_ms();
+    if (look_targets_prepare(b, f) < 0 || record(&r) < 0 || vk_submit_and_wait(&b->commands, f) < 0)
+        return -1;
+    reply->device_ms = now_ms() - start;
+    look_print(p, r.target->geometry.width, r.target->geometry.height, reply->plan, sizeof(reply->plan));
+    snprintf(reply->rule, sizeof(reply->rule), "%.7s", look_name(p->look));
+    snprintf(reply->storage, sizeof(reply->storage), "float");
+    reply->levels = b->look->list.images;
+    reply->error_bound = b->look->list.error_bound;
+    return 0;
+}

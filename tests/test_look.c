@@ -1,0 +1,744 @@
+// SPDX-License-Identifier: Apache-2.0
+// test_look.c - the five named looks on the device that is there, each pixel against the float64 reference: 1e-5 of the frame's
+// largest value, and the bound that the reply states. Validation layers are on, and any message fails.
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "bloom.h"
+#include "look.h"
+#include "reference_look.h"
+
+static struct bloom *engine, *staged;
+static bool validate = true;
+static uint64_t seed = 0x9e3779b97f4a7c15u;
+
+static void log_line(const char *line) { print_message("%s\n", line); }
+
+static double uniform(void)
+{
+    seed ^= seed << 13;
+    seed ^= seed >> 7;
+    seed ^= seed << 17;
+    return (double)(seed >> 11) * 0x1p-53;
+}
+
+/* ---- a frame and what stands beside it ---------------------------------------------------------------- */
+
+enum { SCENE, SOURCE, MATTE, DEPTH, ROLES };
+
+struct scene {
+    unsigned width, height, channels;
+    enum pixel_type type;
+    double *plane[ROLES][3], *want[3], *out[3];
+    bool with[ROLES];
+    struct frame_scan scan[ROLES];
+    struct planes in[ROLES], out_planes[ROLES * BLOOM_OUTPUTS_MAX];
+    struct bloom_reply reply;
+    double aspect, exposure;
+    float luma[3];
+};
+
+static unsigned channels_of(const struct scene *s, unsigned role) { return role >= MATTE ? 1 : s->channels; }
+static enum pixel_type type_of(const struct scene *s, unsigned role) { return role == DEPTH ? PIXEL_TYPE_FLOAT : s->type; }
+
+// Dark noise, lamps over four decades, a bright block in a corner; the same of another seed as the source; blocks of matte; a
+// wall at depth 5 with holes to infinity.
+static void fill(struct scene *s)
+{
+    const size_t n = (size_t)s->width * s->height;
+    for (unsigned role = SCENE; role <= SOURCE; role++) {
+        for (unsigned c = 0; c < s->channels; c++)
+            for (size_t i = 0; i < n; i++)
+                s->plane[role][c][i] = .9 * uniform();
+        for (unsigned i = 0; i < 2 + n / 300; i++) {
+            const size_t at = (size_t)(uniform() * (double)n);
+            const double v = pow(10, 4 * uniform());
+            for (unsigned c = 0; c < s->channels; c++)
+                s->plane[role][c][at] = v * (.2 + uniform());
+        }
+        for (unsigned y = 0; y < s->height && y < 5; y++)
+            for (unsigned x = 0; x < s->width && x < 9; x++)
+                s->plane[role][0][(size_t)y * s->width + x] = 40;
+    }
+    for (size_t i = 0; i < n; i++) {
+        const bool block = (i % s->width) / 7 % 2 == 0;
+        s->plane[MATTE][0][i] = block ? uniform() : 0;
+        s->plane[DEPTH][0][i] = uniform() < .4 ? INFINITY : 5 * uniform();
+    }
+}
+
+static void scene_init(struct scene *s, unsigned w, unsigned h, unsigned channels, enum pixel_type type)
+{
+    *s = (struct scene){ .width = w, .height = h, .channels = channels, .type = type, .aspect = 1, .with = { true },
+                         .luma = { 0.2126f, 0.7152f, 0.0722f } };
+    for (unsigned role = 0; role < ROLES; role++)
+        for (unsigned c = 0; c < 3; c++)
+            assert_non_null(s->plane[role][c] = calloc((size_t)w * h, sizeof(double)));
+    for (unsigned c = 0; c < 3; c++) {
+        assert_non_null(s->want[c] = calloc((size_t)w * h, sizeof(double)));
+        assert_non_null(s->out[c] = calloc((size_t)w * h, sizeof(double)));
+    }
+    fill(s);
+}
+
+static void scene_finish(struct scene *s)
+{
+    for (unsigned role = 0; role < ROLES; role++) {
+        for (unsigned c = 0; c < 3; c++)
+            free(s->plane[role][c]);
+        frame_scan_finish(&s->scan[role]);
+    }
+    for (unsigned c = 0; c < 3; c++) {
+        free(s->want[c]);
+        free(s->out[c]);
+    }
+}
+
+static double get(const struct planes *p, unsigned c, unsigned x, unsigned y)
+{
+    const uint8_t *row = planes_row(p, c, y);
+    float v;
+    if (p->type == PIXEL_TYPE_HALF) {
+        uint16_t h;
+        memcpy(&h, row + 2 * x, 2);
+        half_to_float(&v, &h, 1);
+    } else {
+        memcpy(&v, row + 4 * x, 4);
+    }
+    return v;
+}
+
+// Rounds the scene's own doubles to what the plane holds.
+static void put(struct scene *s, const struct planes *p, unsigned role, unsigned c, unsigned y)
+{
+    uint8_t *row = planes_row(p, c, y);
+    memset(row, 0, p->pitch_bytes);
+    double *v = s->plane[role][c] + (size_t)y * s->width;
+    for (unsigned x = 0; x < s->width; x++) {
+        const float f = (float)v[x];
+        if (p->type == PIXEL_TYPE_HALF) {
+            uint16_t h;
+            float_to_half(&h, &f, 1);
+            memcpy(row + 2 * x, &h, 2);
+        } else {
+            memcpy(row + 4 * x, &f, 4);
+        }
+        v[x] = get(p, c, x, y);
+    }
+}
+
+static int scene_try(struct scene *s, const struct params *p, struct bloom *b, struct fault *f)
+{
+    struct bloom_geometry g[ROLES];
+    int index[ROLES] = { 0 };
+    unsigned count = 0;
+    for (unsigned role = 0; role < ROLES; role++) {
+        index[role] = s->with[role] ? (int)count : -1;
+        if (s->with[role])
+            g[count++] = (struct bloom_geometry){ s->width, s->height, channels_of(s, role), type_of(s, role), 0, role == SCENE };
+    }
+    if (bloom_slot_prepare(b, bloom_slot(b, 0), count, g, s->in, s->out_planes, f) < 0)
+        return -1;
+    for (unsigned role = 0; role < ROLES; role++) {
+        if (!s->with[role])
+            continue;
+        frame_scan_finish(&s->scan[role]);
+        assert_int_equal(frame_scan_init(&s->scan[role], s->width, s->height), 0);
+        const float luma[3] = { s->channels == 1 ? 1 : s->luma[0], s->channels == 1 ? 0 : s->luma[1],
+                                s->channels == 1 ? 0 : s->luma[2] };
+        for (unsigned y = 0; y < s->height; y++) {
+            for (unsigned c = 0; c < channels_of(s, role); c++)
+                put(s, &s->in[index[role]], role, c, y);
+            frame_scan_row(&s->scan[role], &s->in[index[role]], y, role >= MATTE ? (float[3]){ 1, 0, 0 } : luma);
+        }
+    }
+    struct bloom_request r = { .params = p, .scan = &s->scan[SCENE], .source = index[SOURCE], .matte = index[MATTE],
+                               .depth = index[DEPTH], .pixel_aspect = (float)s->aspect,
+                               .source_scan = s->with[SOURCE] ? &s->scan[SOURCE] : NULL };
+    memcpy(r.luma, s->luma, sizeof(r.luma));
+    s->reply = (struct bloom_reply){ 0 };
+    if (bloom_run(b, bloom_slot(b, 0), 0, &r, &s->reply, f) < 0)
+        return -1;
+    const struct planes *out = s->reply.untouched ? &s->in[0] : &s->out_planes[0];
+    for (unsigned c = 0; c < s->channels; c++)
+        for (unsigned y = 0; y < s->height; y++)
+            for (unsigned x = 0; x < s->width; x++)
+                s->out[c][(size_t)y * s->width + x] = get(out, c, x, y);
+    return 0;
+}
+
+static void scene_run(struct scene *s, const struct params *p, struct bloom *b)
+{
+    struct fault f = { 0 };
+    if (scene_try(s, p, b, &f) < 0)
+        fail_msg("%s: %s", f.field, f.text);
+}
+
+static void reference(struct scene *s, const struct params *p)
+{
+    struct reference_look_frame f = { .width = s->width, .height = s->height, .channels = s->channels,
+                                      .luma = { s->luma[0], s->luma[1], s->luma[2] }, .pixel_aspect = s->aspect,
+                                      .exposure = p->exposure, .display_width = s->width,
+                                      .matte = s->with[MATTE] ? s->plane[MATTE][0] : NULL,
+                                      .depth = s->with[DEPTH] ? s->plane[DEPTH][0] : NULL };
+    for (unsigned c = 0; c < 3; c++) {
+        f.plane[c] = s->plane[SCENE][c];
+        f.source[c] = s->with[SOURCE] ? s->plane[SOURCE][c] : NULL;
+    }
+    assert_int_equal(reference_look(s->want, &f, p, p->view_spec.view), 0);
+}
+
+static double quantum(enum pixel_type type, double v)
+{
+    return type == PIXEL_TYPE_HALF ? fmax(ldexp(fabs(v), -11), 0x1p-25) : fmax(ldexp(fabs(v), -24), 0x1p-149);
+}
+
+static double limit = 1e-5;
+
+/* Every pixel; the worst error over the largest value. */
+static double scene_check(struct scene *s, const struct params *p, const char *what)
+{
+    reference(s, p);
+    double largest = 0, worst = -1, worst_over = -1;
+    size_t at = 0;
+    unsigned channel = 0;
+    const size_t n = (size_t)s->width * s->height;
+    for (unsigned c = 0; c < s->channels; c++)
+        for (size_t i = 0; i < n; i++) {
+            largest = isfinite(s->want[c][i]) ? fmax(largest, fabs(s->want[c][i])) : largest;
+            const double v = s->plane[SCENE][c][i];
+            if (p->view_spec.view == VIEW_FINAL && !p->display && !p->encoding && isfinite(v))
+                largest = fmax(largest, fabs(v));
+        }
+    for (unsigned c = 0; c < s->channels; c++)
+        for (size_t i = 0; i < n; i++) {
+            double want = s->want[c][i];
+            const double got = s->out[c][i];
+            if (!isfinite(want)) {
+                assert_true(got == want || (isnan(got) && isnan(want)));
+                continue;
+            }
+            if (s->type == PIXEL_TYPE_HALF)
+                want = fmax(fmin(want, 65504), -65504);
+            const double e = fabs(got - want), over = e - quantum(s->type, want);
+            if (!(over <= worst_over)) {
+                worst = e;
+                worst_over = over;
+                at = i;
+                channel = c;
+            }
+        }
+    const double share = largest > 0 ? fmax(worst_over, 0) / largest : fmax(worst_over, 0);
+    const bool bad = !(share <= limit) || (!s->reply.untouched && !(share <= s->reply.error_bound));
+    if (bad || getenv("AIRY_VERBOSE"))
+        print_message("%s, %u x %u x %u %s: worst %.3g of the largest value %.6g beyond rounding (bound %.3g) at %zu,%zu channel "
+                      "%u: %.9g, %.9g expected (error %.3g)\n", what, s->width, s->height, s->channels,
+                      s->type == PIXEL_TYPE_HALF ? "half" : "float", share, largest, s->reply.error_bound, at % s->width,
+                      at / s->width, channel, s->out[channel][at], s->want[channel][at], worst);
+    assert_false(bad);
+    return share;
+}
+
+/* ---- what is asked --------------------------------------------------------------------------------------- */
+
+static const char *const names[] = { "none", "half-gaussian", "mip-chain", "three-scale", "jimenez", "airy-eight" };
+static const unsigned sizes[][2] = { { 1, 1 }, { 1, 7 }, { 7, 1 }, { 2, 2 }, { 13, 11 }, { 64, 64 }, { 97, 131 }, { 333, 190 } };
+static const struct { unsigned channels; enum pixel_type type; } kinds[] = { { 3, PIXEL_TYPE_FLOAT }, { 3, PIXEL_TYPE_HALF },
+                                                                             { 1, PIXEL_TYPE_FLOAT }, { 1, PIXEL_TYPE_HALF } };
+#define COUNT(a) (sizeof(a) / sizeof((a)[0]))
+
+// METHODS' own numbers of each look.
+static struct params asked(int look)
+{
+    struct params p;
+    params_init(&p);
+    p.look = look;
+    if (look == LOOK_HALF_GAUSSIAN || look == LOOK_JIMENEZ)
+        p.threshold = .8;
+    if (look == LOOK_HALF_GAUSSIAN)
+        p.intensity = 1.5;
+    return p;
+}
+
+static double try_it(unsigned w, unsigned h, unsigned kind, const struct params *p, const bool with[ROLES], const char *what)
+{
+    struct scene s;
+    scene_init(&s, w, h, kinds[kind].channels, kinds[kind].type);
+    if (with)
+        memcpy(s.with, with, sizeof(s.with));
+    s.aspect = 1.25;
+    scene_run(&s, p, engine);
+    assert_false(s.reply.untouched);
+    const double worst = scene_check(&s, p, what);
+    scene_finish(&s);
+    return worst;
+}
+
+static void every_look_at_every_size(void **state)
+{
+    (void)state;
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++) {
+        const struct params p = asked(look);
+        double worst = 0;
+        for (unsigned i = 0; i < COUNT(sizes); i++)
+            for (unsigned kind = 0; kind < COUNT(kinds); kind++)
+                worst = fmax(worst, try_it(sizes[i][0], sizes[i][1], kind, &p, NULL, names[look]));
+        print_message("%s: worst %.2g of the largest value\n", names[look], worst);
+    }
+}
+
+/* One more number set than the look's own. */
+struct option {
+    const char *what;
+    int look;
+    void (*set)(struct params *p);
+};
+
+static void kawase_1(struct params *p) { p->kawase = 1; }
+static void kawase_5(struct params *p) { p->kawase = 5; }
+static void six(struct params *p)
+{
+    p->stages = STAGES_6;
+    p->tint_count = 2;
+    memcpy(p->tints, (double[2][3]){ { 1, .5, .25 }, { .3, 1.5, .7 } }, 2 * sizeof(p->tints[0]));
+}
+static void six_kawase_16(struct params *p)
+{
+    six(p);
+    p->kawase = 16;
+}
+static void legacy(struct params *p) { p->legacy_gain = SWITCH_ON; }
+static void wide_steps(struct params *p) { p->radius = 2.3; }
+static void no_steps(struct params *p) { p->radius = 0; }
+static void stops(struct params *p)
+{
+    p->threshold_unit = UNIT_STOPS;
+    p->threshold = -1.5;
+    p->exposure = 1.25;
+    p->intensity = .7;
+}
+static void no_threshold(struct params *p) { p->threshold = 0; }
+static void no_knee(struct params *p) { p->knee = 0; }
+static void the_sun(struct params *p)
+{
+    p->sun_spec = (struct sun_spec){ .given = true, .x_percent = 37.3, .y_percent = 21.7, .radius = { 9, SIZE_PERCENT },
+                                     .gain = 300, .tint = { 1, .9, .7 } };
+}
+static void the_sun_outside(struct params *p)
+{
+    the_sun(p);
+    p->sun_spec.x_percent = -3;
+    p->sun_spec.radius = (struct size){ 11.5, SIZE_PIXELS };
+}
+static void the_sun_in_mm(struct params *p)
+{
+    the_sun(p);
+    p->sun_spec.radius = (struct size){ 2, SIZE_MM };
+}
+
+static const struct option options[] = {
+    { "three-scale, kawase=1", LOOK_THREE_SCALE, kawase_1 },
+    { "three-scale, kawase=5", LOOK_THREE_SCALE, kawase_5 },
+    { "three-scale, six tints", LOOK_THREE_SCALE, six },
+    { "three-scale, six tints, kawase=16", LOOK_THREE_SCALE, six_kawase_16 },
+    { "jimenez, legacy", LOOK_JIMENEZ, legacy },
+    { "jimenez, radius 2.3", LOOK_JIMENEZ, wide_steps },
+    { "jimenez, radius 0", LOOK_JIMENEZ, no_steps },
+    { "mip-chain, knee 0", LOOK_MIP_CHAIN, no_knee },
+    { "mip-chain, sun", LOOK_MIP_CHAIN, the_sun },
+    { "mip-chain, sun outside", LOOK_MIP_CHAIN, the_sun_outside },
+    { "mip-chain, sun in mm", LOOK_MIP_CHAIN, the_sun_in_mm },
+    { "half-gaussian, stops", LOOK_HALF_GAUSSIAN, stops },
+    { "mip-chain, stops", LOOK_MIP_CHAIN, stops },
+    { "three-scale, stops", LOOK_THREE_SCALE, stops },
+    { "jimenez, stops", LOOK_JIMENEZ, stops },
+    { "airy-eight, stops", LOOK_AIRY_EIGHT, stops },
+    { "half-gaussian, T 0", LOOK_HALF_GAUSSIAN, no_threshold },
+    { "mip-chain, T 0", LOOK_MIP_CHAIN, no_threshold },
+    { "three-scale, T 0", LOOK_THREE_SCALE, no_threshold },
+};
+
+static void every_option(void **state)
+{
+    (void)state;
+    static const unsigned some[][2] = { { 1, 3 }, { 13, 11 }, { 97, 131 } };
+    for (unsigned i = 0; i < COUNT(options); i++) {
+        struct params p = asked(options[i].look);
+        options[i].set(&p);
+        double worst = 0;
+        for (unsigned k = 0; k < COUNT(some); k++)
+            for (unsigned kind = 0; kind < 3; kind++)
+                worst = fmax(worst, try_it(some[k][0], some[k][1], kind, &p, NULL, options[i].what));
+        print_message("%s: worst %.2g\n", options[i].what, worst);
+    }
+}
+
+static void source_matte_and_depth(void **state)
+{
+    (void)state;
+    static const bool with[][ROLES] = { { true, true }, { true, false, true }, { true, true, true }, { true, true, true, true },
+                                        { true, false, false, true } };
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++)
+        for (unsigned i = 0; i < COUNT(with); i++) {
+            struct params p = asked(look);
+            p.emission = i & 1 ? 2 : .4;
+            if (look == LOOK_MIP_CHAIN)
+                the_sun(&p);
+            char what[64];
+            snprintf(what, sizeof(what), "%s with%s%s%s", names[look], with[i][SOURCE] ? " source" : "",
+                     with[i][MATTE] ? " matte" : "", with[i][DEPTH] ? " depth" : "");
+            double worst = 0;
+            for (unsigned kind = 0; kind < COUNT(kinds); kind++)
+                worst = fmax(worst, try_it(43, 29, kind, &p, with[i], what));
+            print_message("%s: worst %.2g\n", what, worst);
+        }
+}
+
+/* The sun behind a wall, in the open, and half of both: the share is what the depths say. */
+static void sun_is_hidden_by_depth(void **state)
+{
+    (void)state;
+    struct params p = asked(LOOK_MIP_CHAIN);
+    the_sun(&p);
+    p.sun_spec.x_percent = p.sun_spec.y_percent = 50;
+    p.sun_spec.radius = (struct size){ 8, SIZE_PIXELS };
+    p.intensity = 1;
+    const float open[3] = { 1, 0, .5f };
+    for (unsigned i = 0; i < 3; i++) {
+        struct scene s;
+        scene_init(&s, 64, 64, 3, PIXEL_TYPE_FLOAT);
+        s.with[DEPTH] = true;
+        for (unsigned at = 0; at < 64 * 64; at++) {
+            for (unsigned c = 0; c < 3; c++)
+                s.plane[SCENE][c][at] = 0;
+            const bool wall = i == 1 || (i == 2 && at % 64 < 32);
+            s.plane[DEPTH][0][at] = at == 0 ? 9 : wall ? 2 : INFINITY;
+        }
+        scene_run(&s, &p, engine);
+        scene_check(&s, &p, "sun and wall");
+        // 32 of the 64 points stand left of the middle, give or take the spiral's first turns.
+        const double glow = s.out[0][32 * 64 + 32] / (300 * exp(-.5 / 128));
+        print_message("sun, open %.1f: share %.4f\n", open[i], glow);
+        assert_true(fabs(glow - open[i]) <= (i == 2 ? 3. / 64 : 1e-5));
+        scene_finish(&s);
+    }
+}
+
+static void every_display(void **state)
+{
+    (void)state;
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++)
+        for (int display = DISPLAY_NONE; display <= DISPLAY_ACES; display++)
+            for (int encoding = ENCODING_LINEAR; encoding <= ENCODING_SRGB; encoding++) {
+                struct params p = asked(look);
+                p.display = display;
+                p.encoding = encoding;
+                p.saturation = encoding == ENCODING_SRGB ? 1.4 : encoding == ENCODING_GAMMA22 ? 1 : .6;
+                p.exposure = -.5;
+                char what[64];
+                snprintf(what, sizeof(what), "%s display %d encoding %d", names[look], display, encoding);
+                double worst = 0;
+                for (unsigned kind = 0; kind < COUNT(kinds); kind++)
+                    worst = fmax(worst, try_it(31, 22, kind, &p, NULL, what));
+                print_message("%s: worst %.2g\n", what, worst);
+            }
+}
+
+static void every_view(void **state)
+{
+    (void)state;
+    static const bool with[ROLES] = { true, false, true };
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++)
+        for (int view = VIEW_FINAL; view <= VIEW_BLOOM; view++) {
+            struct params p = asked(look);
+            p.view_spec.view = (enum view)view;
+            p.emission = 2;
+            p.display = DISPLAY_ACES; // of final alone
+            for (unsigned kind = 0; kind < COUNT(kinds); kind++)
+                try_it(37, 26, kind, &p, with, "view");
+        }
+    struct params p = asked(LOOK_JIMENEZ);
+    struct scene s;
+    struct fault f = { 0 };
+    scene_init(&s, 8, 8, 3, PIXEL_TYPE_FLOAT);
+    p.view_spec = (struct view_spec){ VIEW_LEVEL, 2 };
+    assert_int_equal(scene_try(&s, &p, engine, &f), -1);
+    assert_int_equal(f.code, FAULT_PARAM_CONFLICT);
+    assert_string_equal(f.field, "params.view");
+    scene_finish(&s);
+}
+
+/* ---- policies ------------------------------------------------------------------------------------------------ */
+
+static void staged_makes_the_same_bytes(void **state)
+{
+    (void)state;
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++)
+        for (unsigned kind = 0; kind < COUNT(kinds); kind++) {
+            struct params p = asked(look);
+            p.emission = 3;
+            struct scene s;
+            scene_init(&s, 61, 45, kinds[kind].channels, kinds[kind].type);
+            s.with[SOURCE] = s.with[MATTE] = s.with[DEPTH] = true;
+            if (look == LOOK_MIP_CHAIN)
+                the_sun(&p);
+            scene_run(&s, &p, engine);
+            double *once[3];
+            for (unsigned c = 0; c < 3; c++) {
+                once[c] = s.out[c];
+                assert_non_null(s.out[c] = calloc(61 * 45, sizeof(double)));
+            }
+            scene_run(&s, &p, staged);
+            for (unsigned c = 0; c < s.channels; c++)
+                assert_memory_equal(once[c], s.out[c], 61 * 45 * sizeof(double));
+            for (unsigned c = 0; c < 3; c++)
+                free(once[c]);
+            scene_finish(&s);
+        }
+}
+
+static void flat(struct scene *s, double v)
+{
+    for (unsigned c = 0; c < s->channels; c++)
+        for (size_t i = 0; i < (size_t)s->width * s->height; i++)
+            s->plane[SCENE][c][i] = v;
+}
+
+static void dark_frames_are_untouched(void **state)
+{
+    (void)state;
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++) {
+        struct params p = asked(look);
+        p.threshold = 1;
+        struct scene s;
+        scene_init(&s, 33, 17, 3, PIXEL_TYPE_FLOAT);
+        // At the foot of the curve, exactly, and a step above it.
+        const double foot = look == LOOK_MIP_CHAIN || look == LOOK_JIMENEZ ? .5 : 1;
+        flat(&s, foot);
+        memcpy(s.luma, (float[3]){ .25f, .5f, .25f }, sizeof(s.luma));
+        scene_run(&s, &p, engine);
+        assert_true(s.reply.untouched);
+        flat(&s, foot * 1.01);
+        scene_run(&s, &p, engine);
+        assert_false(s.reply.untouched);
+        scene_check(&s, &p, "just above the foot");
+        flat(&s, 7);
+        p.intensity = 0;
+        scene_run(&s, &p, engine);
+        assert_true(s.reply.untouched);
+        p.intensity = 1;
+        p.bloom = SWITCH_OFF;
+        scene_run(&s, &p, engine);
+        assert_true(s.reply.untouched);
+        // Off, but shown: a display works on the frame as it is.
+        p.display = DISPLAY_REINHARD;
+        scene_run(&s, &p, engine);
+        assert_false(s.reply.untouched);
+        assert_true(fabs(s.out[1][40] - 7. / 8) < 1e-6);
+        scene_finish(&s);
+    }
+}
+
+// NaN and Inf stay themselves, or become 0 and take glow; nothing of them gets into the others.
+static void nonfinite_pixels(void **state)
+{
+    (void)state;
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++)
+        for (unsigned kind = 0; kind < COUNT(kinds); kind++)
+            for (int policy = NONFINITE_KEEP; policy <= NONFINITE_ZERO; policy++) {
+                struct params p = asked(look);
+                p.nonfinite = policy;
+                struct scene s;
+                scene_init(&s, 40, 30, kinds[kind].channels, kinds[kind].type);
+                s.plane[SCENE][0][5 * 40 + 6] = NAN;
+                s.plane[SCENE][0][29 * 40 + 39] = INFINITY;
+                s.plane[SCENE][s.channels - 1][12 * 40 + 20] = -INFINITY;
+                s.plane[SCENE][0][20 * 40 + 8] = -3;
+                scene_run(&s, &p, engine);
+                scene_check(&s, &p, "nonfinite");
+                for (unsigned c = 0; c < s.channels; c++)
+                    for (unsigned i = 0; i < 40 * 30; i++)
+                        assert_true(isfinite(s.out[c][i]) || (policy == NONFINITE_KEEP && !isfinite(s.plane[SCENE][c][i])));
+                // A dark frame is touched for the sake of a zero alone.
+                flat(&s, .01);
+                s.plane[SCENE][0][3] = NAN;
+                scene_run(&s, &p, engine);
+                assert_int_equal(s.reply.untouched, policy == NONFINITE_KEEP);
+                if (policy == NONFINITE_ZERO)
+                    assert_true(s.out[0][3] == 0 && s.out[0][4] == s.plane[SCENE][0][4]);
+                scene_finish(&s);
+            }
+}
+
+/* Where the glow is 0 the very bits come back, those of -0.0 and of denormals too; a half holds at 65504. */
+static void bits_are_handed_on(void **state)
+{
+    (void)state;
+    struct params p = asked(LOOK_HALF_GAUSSIAN);
+    struct scene s;
+    scene_init(&s, 100, 4, 3, PIXEL_TYPE_FLOAT);
+    flat(&s, 0);
+    s.plane[SCENE][0][0] = 50;
+    s.plane[SCENE][1][90] = -0.0;
+    s.plane[SCENE][2][91] = 1e-42;
+    scene_run(&s, &p, engine);
+    assert_false(s.reply.untouched);
+    uint32_t zero, small;
+    memcpy(&zero, planes_row(&s.out_planes[0], 1, 0) + 4 * 90, 4);
+    memcpy(&small, planes_row(&s.out_planes[0], 2, 0) + 4 * 91, 4);
+    assert_int_equal(zero, 0x80000000u);
+    assert_true(small == 714);
+    assert_true(s.out[0][0] > 50);
+    scene_finish(&s);
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++) {
+        p = asked(look);
+        scene_init(&s, 16, 16, 3, PIXEL_TYPE_HALF);
+        flat(&s, 65504);
+        scene_run(&s, &p, engine);
+        for (unsigned i = 0; i < 256; i++)
+            assert_true(s.out[0][i] == 65504);
+        scene_finish(&s);
+        // The largest floats: no NaN, no Inf.
+        scene_init(&s, 16, 16, 3, PIXEL_TYPE_FLOAT);
+        flat(&s, 3.4e38);
+        scene_run(&s, &p, engine);
+        for (unsigned i = 0; i < 256; i++)
+            assert_true(isfinite(s.out[2][i]) && s.out[2][i] >= 3.3e38);
+        scene_finish(&s);
+    }
+}
+
+/* ---- what the definitions say of flat fields and lone weights ------------------------------------------------------ */
+
+static double flat_gain(struct params p, double v)
+{
+    struct scene s;
+    scene_init(&s, 70, 50, 3, PIXEL_TYPE_FLOAT);
+    flat(&s, v);
+    p.view_spec.view = VIEW_BLOOM;
+    scene_run(&s, &p, engine);
+    const double glow = s.out[1][25 * 70 + 35];
+    for (unsigned i = 0; i < 70 * 50; i++)
+        assert_true(fabs(s.out[1][i] - glow) <= 4e-6 * glow); // clamped edges: flat to the corners
+    scene_finish(&s);
+    return glow;
+}
+
+static void flat_fields(void **state)
+{
+    (void)state;
+    struct params p = asked(LOOK_HALF_GAUSSIAN);
+    assert_true(fabs(flat_gain(p, 4.8) - 1.5 * 4) < 2e-5);
+    p = asked(LOOK_MIP_CHAIN);
+    assert_true(fabs(flat_gain(p, 6) - 1.02 * 5) < 2e-5);
+    p = asked(LOOK_THREE_SCALE);
+    const double taps = .227027 + 2 * (.194595 + .121622 + .054054 + .016216);
+    assert_true(fabs(flat_gain(p, 6) - 3 * 5 * taps * taps) < 5e-5);
+    p = asked(LOOK_JIMENEZ);
+    assert_true(fabs(flat_gain(p, 6) - 5 * 6) < 1e-4);
+    p.legacy_gain = SWITCH_ON;
+    double sum = 0;
+    for (int i = 1; i <= 5; i++)
+        sum += pow(1.375, i);
+    assert_true(fabs(flat_gain(p, 6) - sum * 6) < 1e-3);
+    p = asked(LOOK_AIRY_EIGHT);
+    assert_true(fabs(flat_gain(p, 6) - 5) < 2e-5);
+}
+
+/* mip-chain's weights one by one: a checkerboard of 2^m pixels vanishes to its mean at mip m + 1, and with T = 0 the glow is linear. */
+static void weights_of_the_mip_chain(void **state)
+{
+    (void)state;
+    static const double w[] = { .20, .40, .24, .11, .05, .02 };
+    struct params p = asked(LOOK_MIP_CHAIN);
+    p.threshold = p.knee = 0;
+    p.view_spec.view = VIEW_BLOOM;
+    struct scene s;
+    scene_init(&s, 64, 64, 1, PIXEL_TYPE_FLOAT);
+    for (unsigned i = 0; i < 64 * 64; i++)
+        s.plane[SCENE][0][i] = (i % 64 + i / 64) & 1;
+    scene_run(&s, &p, engine);
+    // Mip 0 keeps the board, all others are its mean.
+    double mean = 0;
+    for (unsigned m = 1; m < 6; m++)
+        mean += w[m] / 2;
+    for (unsigned i = 0; i < 64 * 64; i++)
+        assert_true(fabs(s.out[0][i] - (w[0] * s.plane[SCENE][0][i] + mean)) < 1e-6);
+    scene_finish(&s);
+}
+
+static void says_what_runs(void **state)
+{
+    (void)state;
+    char text[256];
+    for (int look = LOOK_HALF_GAUSSIAN; look <= LOOK_AIRY_EIGHT; look++) {
+        const struct params p = asked(look);
+        look_print(&p, 1921, 1, text, sizeof(text));
+        assert_int_equal(strncmp(text, names[look], strlen(names[look])), 0);
+        assert_non_null(strstr(text, look == LOOK_MIP_CHAIN ? "1921 x 1" : "960 x 1"));
+    }
+}
+
+/* ---- the program ------------------------------------------------------------------------------------------------- */
+
+static int open_engines(void **state)
+{
+    (void)state;
+    struct fault f = { 0 };
+    struct bloom_options o = { .slots = 1, .validate = validate, .log = log_line };
+    if (bloom_create(&engine, &o, &f) < 0)
+        fail_msg("%s", f.text);
+    o.staged = true;
+    if (bloom_create(&staged, &o, &f) < 0)
+        fail_msg("%s", f.text);
+    return 0;
+}
+
+static int close_engines(void **state)
+{
+    (void)state;
+    const unsigned messages = bloom_validation_messages(engine) + bloom_validation_messages(staged);
+    if (messages)
+        print_message("%u validation messages\n", messages);
+    bloom_destroy(engine);
+    bloom_destroy(staged);
+    return messages ? -1 : 0;
+}
+
+static void validation_is_silent(void **state)
+{
+    (void)state;
+    assert_int_equal(bloom_validation_messages(engine) + bloom_validation_messages(staged), 0);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(every_look_at_every_size),
+        cmocka_unit_test(every_option),
+        cmocka_unit_test(source_matte_and_depth),
+        cmocka_unit_test(sun_is_hidden_by_depth),
+        cmocka_unit_test(every_display),
+        cmocka_unit_test(every_view),
+        cmocka_unit_test(staged_makes_the_same_bytes),
+        cmocka_unit_test(dark_frames_are_untouched),
+        cmocka_unit_test(nonfinite_pixels),
+        cmocka_unit_test(bits_are_handed_on),
+        cmocka_unit_test(flat_fields),
+        cmocka_unit_test(weights_of_the_mip_chain),
+        cmocka_unit_test(says_what_runs),
+        cmocka_unit_test(validation_is_silent),
+    };
+    // AIRY_TEST_VALIDATE=0 runs without the layers (their leaks would drown ours), and without their test.
+    validate = !getenv("AIRY_TEST_VALIDATE") || strcmp(getenv("AIRY_TEST_VALIDATE"), "0") != 0;
+    return _cmocka_run_group_tests("look", tests, COUNT(tests) - !validate, open_engines, close_engines);
+}
