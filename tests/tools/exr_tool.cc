@@ -181,6 +181,18 @@ void add_channels(Header &h, const exr_tool_spec *s)
     case EXR_TOOL_G:
         c.insert("G", Channel(t));
         break;
+    case EXR_TOOL_EYES:
+        for (const char *eye : { "", "right." }) {
+            rgb(eye);
+            rgb(std::string("glow.") + eye);
+            c.insert(std::string(eye) + "Z", Channel(FLOAT));
+            c.insert(std::string(eye) + "matte", Channel(HALF));
+        }
+        rgb("shared.");
+        c.insert("hold.A", Channel(FLOAT));
+        c.insert("id.m", Channel(UINT));
+        addMultiView(h, { "left", "right" });
+        break;
     case EXR_TOOL_UINT:
         c.insert("R", Channel(UINT));
         c.insert("G", Channel(UINT));
@@ -292,6 +304,15 @@ void make_multipart(const exr_tool_spec *s, Out &out)
         deep.setType(DEEPSCANLINE);
         h.push_back(deep);
     }
+    if (s->aov) {
+        Header aov(Box2i(V2i(0, 0), V2i(99, 79)), h[0].dataWindow());
+        for (const char *name : { "R", "G", "B", "mask.A" })
+            aov.channels().insert(name, Channel(HALF));
+        aov.compression() = ZIPS_COMPRESSION;
+        aov.setName("emission");
+        aov.setType(SCANLINEIMAGE);
+        h.push_back(aov);
+    }
     for (Header &i : h) // attributes that all parts share must agree
         i.pixelAspectRatio() = 1.5f;
     for (size_t i = 2; i < h.size(); i++) {
@@ -312,6 +333,10 @@ void make_multipart(const exr_tool_spec *s, Out &out)
     write_lines(part, part.header(), s->specials);
     if (s->parts > 2)
         write_deep(file, 3, file.header(3));
+    if (s->aov) {
+        OutputPart aov(file, int(h.size()) - 1);
+        write_lines(aov, aov.header(), s->specials);
+    }
 }
 
 void make_file(const exr_tool_spec *s, Out &out)

@@ -20,6 +20,8 @@ enum exr_tool_layout {
     EXR_TOOL_STEREO, /* multiView left right: A B G R, right.A/B/G/R, diffuse.right.B/G/R */
     EXR_TOOL_G,      /* G alone */
     EXR_TOOL_UINT,   /* R G B, all UINT */
+    EXR_TOOL_EYES,   /* multiView left right: R G B Z matte, right. the same; glow. R G B, glow.right. R G B;
+                        shared. R G B, hold.A; id.m(uint) */
 };
 
 struct exr_tool_spec {
@@ -32,6 +34,8 @@ struct exr_tool_spec {
     int min_x, min_y, width, height;
     int parts;              /* 1: single-part file; 2: stereo parts + depth part; 3: and a deep part */
     int specials;           /* NaN, Inf, -0, negatives, subnormals among the samples */
+    int aov;                /* 1, of files of several parts: one more part "emission" of the same window and no view,
+                               scanlines, ZIPS: R G B and mask.A */
     float dwa_level;        /* 0: no attribute */
 };
 
