@@ -134,6 +134,9 @@ static bool fits(struct seek *s, const struct exr_part *p, struct exr_channel *c
     const char *unfit = NULL;
     char title[96];
     exr_part_title(p, title);
+    if (p->storage >= EXR_DEEP_SCANLINE)
+        return REASON(s, "channel '%.64s' of %.60s is deep data, which cannot be read as pixels yet", c[0]->name,
+                      title);
     if (!same_window(s, p, c[0]))
         return false;
     if (n != planes_of(s))
@@ -141,8 +144,6 @@ static bool fits(struct seek *s, const struct exr_part *p, struct exr_channel *c
                       s->asked, title, n, n == 1 ? "" : "s", s->scene->pub.name, s->scene->pub.channels);
     if (s->role == EXR_SOURCE)
         unfit = exr_layer_unfit(p, c, n, chroma, &bad);
-    else if (p->storage >= EXR_DEEP_SCANLINE)
-        unfit = "is deep data, which cannot be read as pixels yet";
     if (unfit)
         return REASON(s, "channel '%.64s' of %.60s %s", bad->name, title, unfit);
     if (s->role != EXR_SOURCE && (c[0]->x_sampling != 1 || c[0]->y_sampling != 1))
