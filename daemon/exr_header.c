@@ -134,6 +134,21 @@ static int parse_window(struct exr_part *p, const struct exr_attr *a, struct fau
     return 0;
 }
 
+// Each view is looked for among all channels: so their number is bounded, like that of channels.
+static int parse_views(struct exr_part *p, const struct exr_attr *a, struct fault *f)
+{
+    const uint8_t *at = a->data, *end = a->data + a->bytes;
+    const char *view;
+    uint32_t bytes, n = 0;
+    while (exr_next_view(&at, end, &view, &bytes))
+        if (++n > EXR_VIEWS_MAX)
+            return fault_set(f, FAULT_EXR_TOO_LARGE, "input", "attribute 'multiView' of part %u has more than %d views",
+                             p->index, EXR_VIEWS_MAX);
+    p->multi_view = a->data;
+    p->multi_view_bytes = a->bytes;
+    return 0;
+}
+
 static int parse_tiles(struct exr_part *p, const struct exr_attr *a, struct fault *f)
 {
     uint32_t w = exr_u32(a->data), h = exr_u32(a->data + 4);
@@ -219,9 +234,7 @@ static int store(struct exr_part *p, unsigned bit, const struct exr_attr *a, str
         p->view_bytes = a->bytes;
         return 0;
     case 2048:
-        p->multi_view = a->data;
-        p->multi_view_bytes = a->bytes;
-        return 0;
+        return parse_views(p, a, f);
     default:
         p->dwa_level = f32(a->data);
         return 0;

@@ -37,6 +37,7 @@
 enum {
     EXR_CHANNELS_MAX = 4096,      /* of one part */
     EXR_PARTS_MAX = 1024,
+    EXR_VIEWS_MAX = 256,          /* of one part */
     EXR_ATTRIBUTES_MAX = 16384,   /* of one file */
     EXR_LEVELS_MAX = 32,
     EXR_TARGETS_MAX = 16,         /* as BLOOM_TARGETS_MAX */

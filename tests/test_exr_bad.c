@@ -257,6 +257,13 @@ static void test_attributes(void **state)
         add(t, "", 1);
         expect(t->bytes, t->n, NULL, FAULT_EXR_DAMAGED, "pixelAspectRatio");
     }
+    struct text *views = calloc(1, sizeof(*views));
+    for (unsigned i = 0; i < 257; i++)
+        add(views, "\1\0\0\0v", 5);
+    write_head(t, &h);
+    add_attr(t, "multiView", "stringvector", views->bytes, (uint32_t)views->n);
+    expect(t->bytes, t->n, NULL, FAULT_EXR_TOO_LARGE, "more than 256 views");
+    free(views);
     // a million attributes
     write_head(t, &h);
     const size_t million = 1000000, each = 11;
