@@ -2,6 +2,7 @@
 // exr.c - the life of a struct exr: open, bind, close, and what it tells about itself.
 #include "exr.h"
 
+#include <assert.h>
 #include <limits.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -118,7 +119,8 @@ static int open_all(struct exr *x, const struct exr_select *select, struct fault
     for (unsigned i = 0; i < x->parts; i++)
         if (exr_plan_chunks(x, &x->part[i], f))
             return -1;
-    if (exr_read_tables(x, tables, f) || exr_select_targets(x, select, f) || check_decoded(x, f) ||
+    if (exr_read_tables(x, tables, f) || exr_select_targets(x, select, f) ||
+        exr_select_companions(x, select, f) || exr_plan_channels(x, f) || check_decoded(x, f) ||
         exr_plan_decode(x, f) || make_room(x, f))
         return -1;
     for (unsigned i = 0; i < x->targets; i++)
@@ -137,6 +139,7 @@ int exr_open(struct exr **out, const void *bytes, uint64_t size, const struct ex
     x->bytes = bytes;
     x->size = size;
     x->limits = *limits;
+    assert(options->extras <= EXR_EXTRAS_MAX);
     x->options = *options;
     x->options.stamp = NULL;
     x->stamp = options->stamp ? strdup(options->stamp) : NULL;
@@ -158,6 +161,9 @@ static void part_finish(const struct exr *x, struct exr_part *p)
     for (uint32_t i = 0; p->chunk && i < p->chunks; i++)
         exr_drop_pixels(x, &p->chunk[i]);
     exr_encode_free(x, p);
+    if (p->out_channel != p->channel)
+        free(p->out_channel);
+    free(p->extra_names);
     free(p->chunk);
     free(p->band);
     free(p->channel);
@@ -190,8 +196,10 @@ struct exr_target *exr_target(struct exr *x, unsigned i) { return &x->target[i].
 
 void exr_bind(struct exr *x, unsigned target, const struct planes *in, const struct planes *out)
 {
-    x->target[target].in = *in;
-    x->target[target].out = *out;
+    struct exr_state *t = &x->target[target];
+    t->in = *in;
+    for (unsigned i = 0; i <= x->options.extras && t->pub.role == EXR_SCENE; i++)
+        t->out[i] = out[i];
 }
 
 struct exr_counts exr_counts(const struct exr *x)

@@ -36,9 +36,9 @@ struct exr_select {
     const char *view;  /* NULL or "": all views; else one name of multiView / the part's view */
     /* What the glow needs beside the layer, of the same part (or one with the same data window): NULL or "":
      * nothing. Each becomes a target that is only read. */
-    const char *source; /* a layer with the same channels */
-    const char *matte;  /* a channel's full name */
-    bool depth;         /* channel Z, when there is one */
+    const char *source; /* a layer with as many channels; it may be a part's name, whose unprefixed channels are it */
+    const char *matte;  /* a channel's full name. UINT samples count as numbers: 1 is full cover */
+    bool depth;         /* channel Z of the layer, or of the view, or of the part, when there is one */
 };
 
 enum exr_compression { /* the file format's numbers */
@@ -53,7 +53,7 @@ struct exr_options {
     int compression;        /* enum exr_compression */
     enum exr_pixels pixels; /* of the bloomed channels in the output */
     const char *stamp;      /* value of the added string attribute "airy"; NULL adds none */
-    unsigned extras;        /* layers that the parts of scene targets get: "airy.<name>.R" ... beside R, G, B; in
+    unsigned extras;        /* at most 7 layers that the parts of scene targets get: "airy.<name>.R" ... beside R, G, B; in
                                a layer or view "X.", "X.airy.<name>.R" */
     const char *extra_name[7]; /* the caller's, until exr_close */
 };
@@ -61,8 +61,8 @@ struct exr_options {
 enum exr_role { EXR_SCENE, EXR_SOURCE, EXR_MATTE, EXR_DEPTH };
 
 struct exr_target {
-    enum exr_role role;  /* EXR_SCENE is bloomed and written; the others are only read */
-    int source, matte, depth; /* of a scene: indices of its other targets, -1: none */
+    enum exr_role role;  /* EXR_SCENE is bloomed and written; the others are only read, and come after all scenes */
+    int source, matte, depth; /* of a scene: indices of its other targets, -1: none; scenes may share them */
     char name[256];      /* "beauty", "part 1 (right)", "left" ...: for people */
     unsigned part;
     int32_t min_x, min_y; /* data window's corner */
@@ -70,11 +70,11 @@ struct exr_target {
     unsigned channels;   /* 3, or 1 for luminance alone */
     enum pixel_type type; /* of the planes: HALF only when all its channels are HALF and none is
                              subsampled or recombined from luminance-chroma; else FLOAT */
-    float luma[3];       /* relative luminance weights from chromaticities, else Rec.709 */
+    float luma[3];       /* relative luminance weights from chromaticities, else Rec.709; of a source: its scene's */
     float pixel_aspect;
     uint32_t display_width; /* of the display window */
     uint32_t grow;       /* set by the caller after exr_open, before exr_bind: pixels by which the data window of the
-                            target's part grows on each side; equal for all targets of a part */
+                            target's part grows on each side; equal for all scenes of a part */
     struct frame_scan scan; /* filled by decode tasks */
 };
 
@@ -89,15 +89,21 @@ void exr_close(struct exr *x); /* NULL is fine */
 unsigned exr_target_count(const struct exr *x);
 struct exr_target *exr_target(struct exr *x, unsigned i);
 
+/* Whether the output can have the targets' grow: 0, or -1 and *f. exr_encode_begin asks, too; who asks before
+ * it takes memory for the planes takes none in vain. */
+int exr_grow_check(const struct exr *x, struct fault *f);
+
 /* in: planes of the target's size and type, zero beyond the width; out: 1 + extras of them (NULL where the target
- * is only read), same geometry plus grow on each side, read by the encode tasks. out->type may be FLOAT where in is HALF (saturation is then counted here). Both stay
+ * is only read), same geometry plus grow on each side, read by the encode tasks. Their type may be FLOAT where in is HALF
+ * (saturation is then counted here). Both stay
  * as they are from the bloom to the last encode task: luminance-chroma compares them. */
 void exr_bind(struct exr *x, unsigned target, const struct planes *in, const struct planes *out);
 
 unsigned exr_decode_tasks(const struct exr *x);
 int exr_decode(struct exr *x, unsigned task, struct exr_worker *w, struct fault *f);
 
-/* untouched[i]: target i's output is its input; its output planes are not looked at. */
+/* untouched[i]: target i's output is its input; its output plane 0 is not looked at (extra layers are). Of targets
+ * that are only read, it says nothing. */
 int exr_encode_begin(struct exr *x, const bool *untouched, struct fault *f);
 unsigned exr_encode_tasks(const struct exr *x);
 int exr_encode(struct exr *x, unsigned task, struct exr_worker *w, struct fault *f);

@@ -46,23 +46,13 @@ static unsigned level_count(uint32_t size, bool round_up)
     return n;
 }
 
-uint64_t exr_row_bytes(const struct exr_part *p, uint32_t width, uint32_t y, bool out)
-{
-    uint64_t bytes = 0;
-    for (unsigned i = 0; i < p->channels; i++) {
-        const struct exr_channel *c = &p->channel[i];
-        if (y % (uint32_t)c->y_sampling == 0)
-            bytes += (uint64_t)(width / (uint32_t)c->x_sampling) *
-                     pixel_bytes(out ? c->out_type : c->type);
-    }
-    return bytes;
-}
-
 uint64_t exr_rows_bytes(const struct exr_part *p, uint32_t width, uint32_t y, uint32_t rows, bool out)
 {
+    const struct exr_channel *list = out ? p->out_channel : p->channel;
+    const unsigned n = out ? p->out_channels : p->channels;
     uint64_t bytes = 0;
-    for (unsigned i = 0; i < p->channels; i++) {
-        const struct exr_channel *c = &p->channel[i];
+    for (unsigned i = 0; i < n; i++) {
+        const struct exr_channel *c = &list[i];
         bytes += (uint64_t)(width / (uint32_t)c->x_sampling) *
                  exr_sampled(y, rows, (uint32_t)c->y_sampling) *
                  pixel_bytes(out ? c->out_type : c->type);

@@ -366,12 +366,13 @@ int exr_pack(struct exr_worker *w, const struct exr_codec_chunk *c, const uint8_
 int exr_codec_view(struct exr_worker *w, const struct exr_part *p, uint32_t y, uint32_t width,
                    uint32_t rows, bool out, struct exr_codec_chunk *c)
 {
-    struct exr_codec_channel *list =
-        exr_scratch(w, EXR_SCRATCH_VIEW, (uint64_t)p->channels * sizeof(*list));
+    const unsigned n = out ? p->out_channels : p->channels;
+    const int32_t corner = p->min_y - (out ? (int32_t)p->grow : 0);
+    struct exr_codec_channel *list = exr_scratch(w, EXR_SCRATCH_VIEW, (uint64_t)n * sizeof(*list));
     if (!list)
         return -1;
-    for (unsigned i = 0; i < p->channels; i++) {
-        const struct exr_channel *from = &p->channel[i];
+    for (unsigned i = 0; i < n; i++) {
+        const struct exr_channel *from = out ? &p->out_channel[i] : &p->channel[i];
         list[i] = (struct exr_codec_channel){
             .name = from->name, .type = out ? from->out_type : from->type, .linear = from->linear,
             .x_sampling = from->x_sampling, .y_sampling = from->y_sampling,
@@ -380,9 +381,8 @@ int exr_codec_view(struct exr_worker *w, const struct exr_part *p, uint32_t y, u
     }
     *c = (struct exr_codec_chunk){ .compression = out ? p->out_compression : p->compression,
                                    .dwa_level = p->dwa_level, .tiled = p->storage == EXR_TILED,
-                                   .y = (p->storage == EXR_TILED ? 0 : p->min_y) + (int32_t)y,
-                                   .width = width, .height = rows, .channel = list,
-                                   .channels = p->channels };
+                                   .y = (p->storage == EXR_TILED ? 0 : corner) + (int32_t)y,
+                                   .width = width, .height = rows, .channel = list, .channels = n };
     return 0;
 }
 

@@ -15,6 +15,11 @@ enum { TASK_LINES = 16, TASK_TILE_PIXELS = 64 * 1024 };
 
 void exr_row_to_float(float *out, const uint8_t *in, unsigned type, size_t n, uint16_t *scratch)
 {
+    if (type == PIXEL_TYPE_UINT) { // a number is that number, to the nearest float
+        for (size_t i = 0; i < n; i++)
+            out[i] = (float)exr_u32(in + 4 * i);
+        return;
+    }
     if (type == PIXEL_TYPE_FLOAT) {
         memcpy(out, in, 4 * n);
         return;
@@ -41,6 +46,31 @@ void exr_fetch_row(const struct exr_part *p, unsigned channel, uint32_t y, float
                 at += (size_t)(k->width / (uint32_t)p->channel[j].x_sampling) *
                       pixel_bytes((enum pixel_type)p->channel[j].type);
         exr_row_to_float(out + k->x, at, c->type, k->width / (uint32_t)c->x_sampling, scratch);
+    }
+}
+
+void exr_gather_row(const struct exr_part *p, int64_t x, int64_t y, uint32_t width, uint8_t *out)
+{
+    const bool tiled = p->storage == EXR_TILED;
+    const uint32_t step = tiled ? p->tile_width : p->width;
+    const uint32_t across = (p->width - 1) / step + 1;
+    const uint32_t lines = tiled ? p->tile_height : exr_lines_per_chunk(p->compression);
+    const int64_t first = x > 0 ? x : 0, end = x + width < p->width ? x + width : p->width;
+    memset(out, 0, exr_rows_bytes(p, width, 0, 1, false));
+    if (y < 0 || y >= p->height)
+        return;
+    for (int64_t at = first; at < end;) {
+        const struct exr_chunk *k = &p->chunk[(uint64_t)(y / lines) * across + (uint64_t)at / step];
+        const size_t n = (size_t)((end < k->x + (int64_t)k->width ? end : k->x + (int64_t)k->width) - at);
+        const uint8_t *from = k->pixels + exr_rows_bytes(p, k->width, k->y, (uint32_t)y - k->y, false);
+        uint8_t *to = out;
+        for (unsigned i = 0; i < p->channels; i++) {
+            const size_t bytes = pixel_bytes((enum pixel_type)p->channel[i].type);
+            memcpy(to + (size_t)(at - x) * bytes, from + (size_t)(at - k->x) * bytes, n * bytes);
+            from += k->width * bytes;
+            to += width * bytes;
+        }
+        at += (int64_t)n;
     }
 }
 
@@ -118,10 +148,10 @@ int exr_plan_decode(struct exr *x, struct fault *f)
 
 // ---- one chunk ------------------------------------------------------------------------------------------------
 
-static void put_row(const struct exr_state *t, const struct exr_channel *c, const struct exr_chunk *k,
-                    uint32_t y, const uint8_t *in, uint16_t *scratch)
+static void put_row(const struct exr_state *t, unsigned plane, const struct exr_channel *c,
+                    const struct exr_chunk *k, uint32_t y, const uint8_t *in, uint16_t *scratch)
 {
-    uint8_t *row = planes_row(&t->in, c->plane, y) + (size_t)k->x * pixel_bytes(t->in.type);
+    uint8_t *row = planes_row(&t->in, plane, y) + (size_t)k->x * pixel_bytes(t->in.type);
     if (t->in.type == PIXEL_TYPE_HALF)
         memcpy(row, in, 2 * (size_t)k->width);
     else
@@ -136,8 +166,11 @@ static void put_rows(struct exr *x, const struct exr_part *p, const struct exr_c
             const struct exr_channel *c = &p->channel[i];
             if (y % (uint32_t)c->y_sampling)
                 continue;
-            if (c->target >= 0 && !x->target[c->target].luma_chroma)
-                put_row(&x->target[c->target], c, k, y, at, scratch);
+            for (uint64_t taps = c->taps; taps; taps &= taps - 1) {
+                const unsigned bit = (unsigned)__builtin_ctzll(taps);
+                if (!x->target[bit / 4].luma_chroma)
+                    put_row(&x->target[bit / 4], bit % 4, c, k, y, at, scratch);
+            }
             at += (size_t)(k->width / (uint32_t)c->x_sampling) * pixel_bytes((enum pixel_type)c->type);
         }
 }

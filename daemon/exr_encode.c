@@ -4,7 +4,7 @@
  *
  * Two ways. Patch: the chunk keeps its layout, so only samples that differ are put into its unpacked
  * bytes; when none does, nothing is stored and the container copies the input's chunk. Rebuild: types or
- * rows per chunk change, so rows are composed anew. In both, a sample keeps the file's bits unless
+ * rows per chunk change, layers are added or the window grows, so rows are composed anew. In both, a sample keeps the file's bits unless
  * its new value, in the output's type, has others; a NaN that stays a NaN keeps its payload.
  */
 #include <stdio.h>
@@ -20,7 +20,7 @@ enum { TASK_PIXELS = 32 * 1024 };
 static bool touches(const struct exr *x, const struct exr_part *p)
 {
     for (unsigned i = 0; i < x->targets; i++)
-        if (x->target[i].pub.part == p->index && !x->target[i].untouched)
+        if (x->target[i].pub.part == p->index && x->target[i].pub.role == EXR_SCENE && !x->target[i].untouched)
             return true;
     return false;
 }
@@ -61,69 +61,40 @@ static void note_losses(struct exr *x, const struct exr_part *p)
         exr_add_note(x, "%s: the compression is lossy for bloomed channels", exr_part_title(p, title));
 }
 
-static int check_output(const struct exr_part *p, struct fault *f)
+static void note_grown(struct exr *x, const struct exr_part *p)
 {
-    const uint32_t lines = exr_lines_per_chunk(p->out_compression);
-    const bool dwa = p->out_compression == EXR_DWAA || p->out_compression == EXR_DWAB;
     char title[96];
-    for (unsigned i = 0; i < p->channels && dwa; i++)
-        if (lines % (uint32_t)p->channel[i].y_sampling)
-            return fault_set(f, FAULT_EXR_UNSUPPORTED, "compression",
-                             "channel '%.64s' has a y sampling of %d, which DWA chunks cannot hold",
-                             p->channel[i].name, p->channel[i].y_sampling);
-    for (uint32_t i = 0; i < p->outs; i++) {
-        const struct exr_out_chunk *o = &p->out[i];
-        const uint32_t width = p->storage == EXR_TILED ? p->chunk[i].width : p->width;
-        const uint64_t n = exr_rows_bytes(p, width, o->row, o->rows, true);
-        if (n > INT32_MAX)
-            return fault_set(f, FAULT_EXR_TOO_LARGE, "compression",
-                             "a chunk of %s would hold %llu bytes; at most %d are possible",
-                             exr_part_title(p, title), (unsigned long long)n, INT32_MAX);
+    bool others = false, depth = false;
+    for (unsigned i = 0; i < p->channels; i++) {
+        const char *dot = strrchr(p->channel[i].name, '.');
+        others |= p->channel[i].target < 0;
+        depth |= p->channel[i].target < 0 && !strcmp(dot ? dot + 1 : p->channel[i].name, "Z");
     }
-    return 0;
-}
-
-static int plan_outs(struct exr_part *p, struct fault *f)
-{
-    const uint32_t lines = exr_lines_per_chunk(p->out_compression);
-    const bool tiled = p->storage == EXR_TILED;
-    p->relayout = !tiled && lines != exr_lines_per_chunk(p->compression);
-    p->outs = p->relayout ? (p->height - 1) / lines + 1 : p->chunks;
-    p->out = calloc(p->outs, sizeof(*p->out));
-    if (!p->out)
-        return fault_set(f, FAULT_NO_MEMORY, "", "no memory for %u chunks", p->outs);
-    for (uint32_t i = 0; i < p->outs; i++) {
-        p->out[i].row = tiled ? p->chunk[i].y : i * lines;
-        p->out[i].rows = tiled ? p->chunk[i].height
-                         : p->height - i * lines < lines ? p->height - i * lines : lines;
-    }
-    return check_output(p, f);
+    if (others)
+        exr_add_note(x, "%s: channels that are not bloomed are 0 in the %u pixels that it grew by on each side%s",
+                     exr_part_title(p, title), p->grow, depth ? "; so is depth, Z" : "");
 }
 
 static int plan_part(struct exr *x, struct exr_part *p, struct fault *f)
 {
     const bool touched = touches(x, p);
-    bool rebuilt = false;
     if (x->options.compression != EXR_KEEP)
         p->out_compression = x->options.compression;
-    rebuilt = p->out_compression != p->compression;
-    for (unsigned i = 0; i < p->channels; i++) {
-        struct exr_channel *c = &p->channel[i];
-        if (c->target >= 0 && x->options.pixels != EXR_PIXELS_KEEP)
-            c->out_type = x->options.pixels == EXR_PIXELS_HALF ? PIXEL_TYPE_HALF : PIXEL_TYPE_FLOAT;
-        p->retyped |= c->out_type != c->type;
-    }
-    p->changes = touched || rebuilt || p->retyped;
+    p->grow = exr_part_grow(x, p);
+    p->changes = touched || p->out_compression != p->compression || p->retyped || p->extended || p->grow;
     if (!p->changes)
         return 0;
     if (p->out_compression >= EXR_PXR24)
         note_losses(x, p);
     exr_note_dropped(x, p);
-    if (plan_outs(p, f))
+    if (p->grow)
+        note_grown(x, p);
+    if (exr_plan_outs(p, f))
         return -1;
     for (unsigned i = 0; i < x->targets; i++) {
         struct exr_state *t = &x->target[i];
-        if (t->pub.part == p->index && t->luma_chroma && !t->untouched && exr_yc_encode(x, t, f))
+        if (t->pub.part == p->index && t->pub.role == EXR_SCENE && t->luma_chroma && !t->untouched &&
+            exr_yc_encode(x, t, f))
             return -1;
     }
     return touched && p->level0 < p->chunks ? exr_delta_make(x, p, f) : 0;
@@ -134,8 +105,7 @@ static int plan_tasks(struct exr *x, const struct exr_part *p, unsigned *room)
     uint64_t pixels = 0;
     uint32_t first = 0;
     for (uint32_t i = 0; i < p->outs; i++) {
-        const uint32_t width = p->storage == EXR_TILED ? p->chunk[i].width : p->width;
-        pixels += (uint64_t)width * p->out[i].rows;
+        pixels += (uint64_t)p->out[i].width * p->out[i].rows;
         if (pixels < TASK_PIXELS && i + 1 < p->outs)
             continue;
         if (x->encode_tasks == *room) {
@@ -155,11 +125,13 @@ static int plan_tasks(struct exr *x, const struct exr_part *p, unsigned *room)
 int exr_encode_begin(struct exr *x, const bool *untouched, struct fault *f)
 {
     unsigned room = 0;
+    if (exr_grow_check(x, f))
+        return -1;
     for (unsigned i = 0; i < x->targets; i++)
         x->target[i].untouched = untouched[i];
     for (unsigned i = 0; i < x->parts; i++) {
         struct exr_part *p = &x->part[i];
-        if (!p->targets)
+        if (!p->scenes)
             continue;
         if (plan_part(x, p, f))
             return -1;
@@ -185,16 +157,16 @@ struct job {
     struct exr *x;
     struct exr_part *p;
     struct exr_worker *w;
-    struct exr_chunk *k;  // the input chunk at hand
+    struct exr_chunk *k;  // the input chunk at hand; of a grown part, the place of the output's
     uint8_t *row;         // scratch: a row of 4-byte samples, twice, and of halves
     uint64_t saturated, counted;
 };
 
 static float *job_floats(const struct job *j) { return (float *)(void *)j->row; }
-static uint8_t *job_result(const struct job *j) { return j->row + 4 * (size_t)j->p->width; }
+static uint8_t *job_result(const struct job *j) { return j->row + 4 * (size_t)j->p->out_width; }
 static uint16_t *job_half(const struct job *j)
 {
-    return (uint16_t *)(void *)(j->row + 8 * (size_t)j->p->width);
+    return (uint16_t *)(void *)(j->row + 8 * (size_t)j->p->out_width);
 }
 
 static const uint8_t *convert(struct job *j, const uint8_t *from, unsigned type, unsigned to, uint32_t n)
@@ -214,10 +186,11 @@ static const uint8_t *new_row(struct job *j, const struct exr_channel *c, uint32
 {
     const struct exr_state *t = &j->x->target[c->target];
     const uint32_t n = j->k->width / (uint32_t)c->x_sampling;
-    bool touched = !t->untouched;
+    bool touched = c->output || !t->untouched;
     if (touched && !j->k->level_x && !j->k->level_y) {
-        const struct planes *from = t->luma_chroma ? &t->yc[c->plane] : &t->out;
-        const uint8_t *row = planes_row(from, t->luma_chroma ? 0 : c->plane, y / (uint32_t)c->y_sampling);
+        const bool chroma = t->luma_chroma && !c->output;
+        const struct planes *from = chroma ? &t->yc[c->plane] : &t->out[c->output];
+        const uint8_t *row = planes_row(from, chroma ? 0 : c->plane, y / (uint32_t)c->y_sampling);
         return convert(j, row + (size_t)j->k->x * pixel_bytes(from->type), from->type, c->out_type, n);
     }
     if (!touched && c->type == c->out_type)
@@ -339,18 +312,24 @@ static int patch(struct job *j, bool *changed, struct fault *f)
     return 0;
 }
 
-// One row of the input chunk at hand, in output types.
+// One row of the chunk at hand, in the output's channels and types; raw: in the input's.
 static uint64_t rebuild_row(struct job *j, uint32_t y, const uint8_t *raw, uint8_t *out)
 {
     uint64_t used = 0;
-    for (unsigned i = 0; i < j->p->channels; i++) {
-        const struct exr_channel *c = &j->p->channel[i];
+    for (unsigned i = 0; i < j->p->out_channels; i++) {
+        const struct exr_channel *c = &j->p->out_channel[i];
         if (y % (uint32_t)c->y_sampling)
             continue;
         const uint32_t n = j->k->width / (uint32_t)c->x_sampling;
         const uint64_t in_bytes = (uint64_t)n * pixel_bytes((enum pixel_type)c->type);
         const uint64_t out_bytes = (uint64_t)n * pixel_bytes((enum pixel_type)c->out_type);
         const uint8_t *row = c->target < 0 ? NULL : new_row(j, c, y, raw);
+        if (c->from < 0) { // nothing is under it
+            memset(out + used, 0, out_bytes);
+            merge(out + used, row, c->out_type, n, held_by(j, row));
+            used += out_bytes;
+            continue;
+        }
         memcpy(out + used, row && c->type != c->out_type ? row : raw, out_bytes);
         if (row && c->type == c->out_type)
             merge(out + used, row, c->type, n, held_by(j, row));
@@ -363,8 +342,7 @@ static uint64_t rebuild_row(struct job *j, uint32_t y, const uint8_t *raw, uint8
 static int rebuild(struct job *j, struct exr_out_chunk *o, struct fault *f)
 {
     struct exr_part *p = j->p;
-    const uint32_t width = j->k ? j->k->width : p->width;
-    const uint64_t bytes = exr_rows_bytes(p, width, o->row, o->rows, true);
+    const uint64_t bytes = exr_rows_bytes(p, o->width, o->row, o->rows, true);
     uint8_t *out = exr_scratch(j->w, EXR_SCRATCH_CHUNK, bytes + 1);
     uint64_t used = 0;
     if (!out)
@@ -373,16 +351,37 @@ static int rebuild(struct job *j, struct exr_out_chunk *o, struct fault *f)
     for (uint32_t y = o->row; y < o->row + o->rows; y++) {
         if (!tiled)
             j->k = exr_scanline_chunk(p, y);
-        const uint8_t *raw = j->k->pixels + exr_rows_bytes(p, width, j->k->y, y - j->k->y, false);
+        const uint8_t *raw = j->k->pixels + exr_rows_bytes(p, o->width, j->k->y, y - j->k->y, false);
         used += rebuild_row(j, y, raw, out + used);
     }
-    return store(j, o, width, out, bytes, f);
+    return store(j, o, o->width, out, bytes, f);
+}
+
+// A chunk of a grown window is like none of the input: its rows are gathered from those that it covers.
+static int regrow(struct job *j, struct exr_out_chunk *o, struct fault *f)
+{
+    const struct exr_part *p = j->p;
+    struct exr_chunk place = { .x = o->column, .width = o->width };
+    const uint64_t bytes = exr_rows_bytes(p, o->width, o->row, o->rows, true);
+    uint8_t *out = exr_scratch(j->w, EXR_SCRATCH_CHUNK, bytes + 1);
+    uint8_t *raw = exr_scratch(j->w, EXR_SCRATCH_GROWN, exr_rows_bytes(p, o->width, 0, 1, false));
+    uint64_t used = 0;
+    if (!out || !raw)
+        return no_memory(f);
+    j->k = &place;
+    for (uint32_t y = o->row; y < o->row + o->rows; y++) {
+        exr_gather_row(p, (int64_t)o->column - p->grow, (int64_t)y - p->grow, o->width, raw);
+        used += rebuild_row(j, y, raw, out + used);
+    }
+    return store(j, o, o->width, out, bytes, f);
 }
 
 static int encode_chunk(struct job *j, uint32_t i, struct fault *f)
 {
     struct exr_part *p = j->p;
     struct exr_out_chunk *o = &p->out[i];
+    if (p->grow)
+        return regrow(j, o, f);
     if (p->relayout)
         return rebuild(j, o, f);
     j->k = &p->chunk[i];
@@ -392,7 +391,7 @@ static int encode_chunk(struct job *j, uint32_t i, struct fault *f)
         return -1;
     bool changed = p->out_compression != p->compression;
     int result = 0;
-    if (p->retyped) {
+    if (p->retyped || p->extended) {
         result = rebuild(j, o, f);
     } else {
         result = patch(j, &changed, f);
@@ -409,7 +408,7 @@ int exr_encode(struct exr *x, unsigned task, struct exr_worker *w, struct fault 
 {
     const struct exr_task *t = &x->encode_task[task];
     struct job j = { .x = x, .p = &x->part[t->part], .w = w };
-    j.row = exr_scratch(w, EXR_SCRATCH_ROW, 12 * (uint64_t)j.p->width);
+    j.row = exr_scratch(w, EXR_SCRATCH_ROW, 12 * (uint64_t)j.p->out_width);
     if (!j.row)
         return no_memory(f);
     int result = 0;

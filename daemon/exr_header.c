@@ -13,7 +13,7 @@
 #include "exr_internal.h"
 
 enum {
-    FLAG_TILED = 0x200, FLAG_LONG_NAMES = 0x400, FLAG_DEEP = 0x800, FLAG_MULTIPART = 0x1000,
+    FLAG_TILED = 0x200, FLAG_DEEP = 0x800, FLAG_MULTIPART = 0x1000,
     NAME_MAX_BYTES = 255,
 };
 
@@ -98,10 +98,10 @@ static int parse_channels(struct exr_part *p, const struct exr_attr *a, struct f
         if (n && strcmp(p->channel[n - 1].name, name) >= 0)
             return fault_set(f, FAULT_EXR_DAMAGED, "input",
                              "channel '%.64s' comes twice or not in order of names", name);
-        p->channel[n++] = (struct exr_channel){
+        p->channel[n] = (struct exr_channel){
             .name = name, .type = (uint8_t)type, .out_type = (uint8_t)type, .linear = at[4],
-            .x_sampling = (int32_t)xs, .y_sampling = (int32_t)ys, .target = -1 };
-        p->channels = n;
+            .x_sampling = (int32_t)xs, .y_sampling = (int32_t)ys, .from = (int)n, .target = -1 };
+        p->channels = ++n;
         p->y_sampled |= ys > 1;
         at += 16;
     }
@@ -114,18 +114,38 @@ static int parse_channels(struct exr_part *p, const struct exr_attr *a, struct f
 
 static int parse_window(struct exr_part *p, const struct exr_attr *a, struct fault *f)
 {
+    const bool display = exr_attr_is(a, "displayWindow", NULL);
     int64_t v[4];
     for (int i = 0; i < 4; i++)
         v[i] = (int32_t)exr_u32(a->data + 4 * i);
     const int64_t far = INT32_MAX / 2;
     if (v[0] > v[2] || v[1] > v[3] || v[0] <= -far || v[1] <= -far || v[2] >= far || v[3] >= far)
         return fault_set(f, FAULT_EXR_DAMAGED, "input",
-                         "dataWindow of part %u is (%lld %lld) - (%lld %lld), which is no window",
-                         p->index, (long long)v[0], (long long)v[1], (long long)v[2], (long long)v[3]);
+                         "%s of part %u is (%lld %lld) - (%lld %lld), which is no window", a->name, p->index,
+                         (long long)v[0], (long long)v[1], (long long)v[2], (long long)v[3]);
+    if (display) {
+        p->display_width = (uint32_t)(v[2] - v[0] + 1);
+        return 0;
+    }
     p->min_x = (int32_t)v[0];
     p->min_y = (int32_t)v[1];
     p->width = (uint32_t)(v[2] - v[0] + 1);
     p->height = (uint32_t)(v[3] - v[1] + 1);
+    return 0;
+}
+
+// Each view is looked for among all channels: so their number is bounded, like that of channels.
+static int parse_views(struct exr_part *p, const struct exr_attr *a, struct fault *f)
+{
+    const uint8_t *at = a->data, *end = a->data + a->bytes;
+    const char *view;
+    uint32_t bytes, n = 0;
+    while (exr_next_view(&at, end, &view, &bytes))
+        if (++n > EXR_VIEWS_MAX)
+            return fault_set(f, FAULT_EXR_TOO_LARGE, "input", "attribute 'multiView' of part %u has more than %d views",
+                             p->index, EXR_VIEWS_MAX);
+    p->multi_view = a->data;
+    p->multi_view_bytes = a->bytes;
     return 0;
 }
 
@@ -152,7 +172,8 @@ static float f32(const uint8_t *p)
     return v;
 }
 
-enum seen { CHANNELS = 1, COMPRESSION = 2, WINDOW = 4, TILES = 8, CHUNKS = 16, TYPE = 32, NAME = 64 };
+enum seen { CHANNELS = 1, COMPRESSION = 2, WINDOW = 4, TILES = 8, CHUNKS = 16, TYPE = 32, NAME = 64,
+            DISPLAY = 8192 };
 
 struct known {
     const char *name, *type;
@@ -167,7 +188,7 @@ static const struct known known[] = {
     { "name", "string", 0, NAME },               { "lineOrder", "lineOrder", 1, 128 },
     { "pixelAspectRatio", "float", 4, 256 },     { "chromaticities", "chromaticities", 32, 512 },
     { "view", "string", 0, 1024 },               { "multiView", "stringvector", 0, 2048 },
-    { "dwaCompressionLevel", "float", 4, 4096 },
+    { "dwaCompressionLevel", "float", 4, 4096 }, { "displayWindow", "box2i", 16, DISPLAY },
 };
 
 static int store(struct exr_part *p, unsigned bit, const struct exr_attr *a, struct fault *f)
@@ -183,6 +204,7 @@ static int store(struct exr_part *p, unsigned bit, const struct exr_attr *a, str
                              p->compression);
         return 0;
     case WINDOW:
+    case DISPLAY:
         return parse_window(p, a, f);
     case TILES:
         return parse_tiles(p, a, f);
@@ -212,9 +234,7 @@ static int store(struct exr_part *p, unsigned bit, const struct exr_attr *a, str
         p->view_bytes = a->bytes;
         return 0;
     case 2048:
-        p->multi_view = a->data;
-        p->multi_view_bytes = a->bytes;
-        return 0;
+        return parse_views(p, a, f);
     default:
         p->dwa_level = f32(a->data);
         return 0;
@@ -309,6 +329,8 @@ static int parse_header(struct exr *x, struct exr_part *p, const uint8_t **at, u
     if (more < 0)
         return -1;
     p->header_end = *at - 1;
+    if (!(seen & DISPLAY))
+        p->display_width = p->width;
     if (storage_of(x, p, type_bytes, f) || check_required(x, p, seen, f))
         return -1;
     return 0;
@@ -322,7 +344,7 @@ static int check_version(struct exr *x, struct fault *f)
                          "the payload (%llu bytes) does not begin with OpenEXR's magic number 76 2f 31 01",
                          (unsigned long long)x->size);
     x->version_word = exr_u32(x->bytes + 4);
-    const uint32_t flags = FLAG_TILED | FLAG_LONG_NAMES | FLAG_DEEP | FLAG_MULTIPART;
+    const uint32_t flags = FLAG_TILED | EXR_FLAG_LONG_NAMES | FLAG_DEEP | FLAG_MULTIPART;
     if ((x->version_word & 0xff) != 2 || x->version_word & ~(0xffu | flags))
         return fault_set(f, FAULT_EXR_UNSUPPORTED, "input",
                          "the file's version field is 0x%x; version 2 with flags 0x%x was expected",

@@ -4,7 +4,9 @@
  *
  *     exr_header.c   bytes -> struct exr_part: headers, strictly
  *     exr_chunk.c    geometry of chunks and levels, offset tables checked against the file
- *     exr_select.c   parts, layers, views -> targets
+ *     exr_select.c   parts, layers, views -> targets that are bloomed
+ *     exr_companion.c  what the glow needs beside them: source, matte, depth
+ *     exr_layout.c   what the output has otherwise than the input: channels, windows, chunks
  *     exr_codec.c    one chunk: packed <-> unpacked (exr_zip.c, exr_dwa.cc, OpenEXRCore)
  *     exr_decode.c   decode tasks: unpacked rows -> planes
  *     exr_encode.c   encode tasks: planes -> unpacked rows -> packed
@@ -23,6 +25,7 @@
 #ifndef AIRYD_EXR_INTERNAL_H
 #define AIRYD_EXR_INTERNAL_H
 
+#include <assert.h>
 #include <stdatomic.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -34,12 +37,18 @@
 enum {
     EXR_CHANNELS_MAX = 4096,      /* of one part */
     EXR_PARTS_MAX = 1024,
+    EXR_VIEWS_MAX = 256,          /* of one part */
     EXR_ATTRIBUTES_MAX = 16384,   /* of one file */
     EXR_LEVELS_MAX = 32,
     EXR_TARGETS_MAX = 16,         /* as BLOOM_TARGETS_MAX */
+    EXR_EXTRAS_MAX = 7,           /* as in struct exr_options */
+    EXR_OUT_CHUNKS_MAX = 1 << 22, /* of a part that grows: its tiles cost the peer nothing */
+    EXR_PREFIX_BYTES = 600,
     EXR_NOTES_MAX = 32,
     EXR_NOTE_BYTES = 200,
 };
+
+enum { EXR_FLAG_LONG_NAMES = 0x400 }; /* of the version field: names of more than 31 bytes */
 
 enum exr_storage { EXR_SCANLINE, EXR_TILED, EXR_DEEP_SCANLINE, EXR_DEEP_TILED };
 
@@ -49,9 +58,15 @@ struct exr_channel {
     uint8_t out_type;      /* in the output */
     uint8_t linear;        /* pLinear: B44's hint */
     int32_t x_sampling, y_sampling;
-    int target;            /* of struct exr, -1: carried over */
-    unsigned plane;        /* of that target; for luminance-chroma 0 Y, 1 RY, 2 BY */
+    int from;              /* itself; in the output's list the input's channel, -1: of an extra layer */
+    int target;            /* the scene that writes it, -1: carried over */
+    unsigned plane;        /* of that scene; for luminance-chroma 0 Y, 1 RY, 2 BY */
+    unsigned output;       /* of that scene: 0 the picture, then the extra layers */
+    uint64_t taps;         /* bit 4 * t + p: plane p of target t is read from it */
 };
+static_assert(EXR_TARGETS_MAX * 4 <= 64, "taps have a bit for every plane");
+
+static inline uint64_t exr_tap(unsigned target, unsigned plane) { return UINT64_C(1) << (4 * target + plane); }
 
 /* Memory for unpacked chunks, from a cache of the process. */
 struct exr_arena {
@@ -76,7 +91,10 @@ struct exr_chunk {
 struct exr_out_chunk {
     uint8_t *data;             /* the payload without leader; NULL: copied. Owned unless in the arena. */
     uint64_t bytes;
-    uint32_t row, rows;        /* scanline parts */
+    uint32_t row, rows;        /* of the output's window, or of the level */
+    uint32_t column, width;
+    uint32_t tile_x, tile_y;   /* tiled */
+    uint8_t level_x, level_y;
 };
 
 struct exr_band;
@@ -101,6 +119,7 @@ struct exr_part {
     bool has_chromaticities;
     float chromaticities[8];
     int64_t chunk_count_attr;           /* -1: absent */
+    uint32_t display_width;             /* the data window's when the file says none */
 
     struct exr_channel *channel;
     unsigned channels;
@@ -114,9 +133,16 @@ struct exr_part {
     _Atomic uint32_t chunks_left;       /* level 0 still to decode: for luminance-chroma */
 
     unsigned targets;                   /* how many look into this part */
+    unsigned scenes;                    /* how many of them are written */
+    struct exr_channel *out_channel;    /* of parts with scenes: the output's list; `channel` when no layers are added */
+    unsigned out_channels;
+    char *extra_names;                  /* of the added ones */
+    bool retyped;                       /* some channel changes its type */
+    bool extended;                      /* layers are added */
+    uint32_t grow;                      /* encode: pixels that the window grows by on each side */
+    uint32_t out_width, out_height;
     bool changes;                       /* encode: some chunk may differ */
     bool relayout;                      /* encode: other rows per chunk than the input */
-    bool retyped;                       /* encode: some channel changes its type */
     struct exr_out_chunk *out;
     uint32_t outs;
     struct exr_delta *delta;            /* mip levels: what is to be added */
@@ -139,7 +165,11 @@ struct exr_state {
     struct exr_target pub;
     bool luma_chroma;
     uint8_t chroma_sampling;   /* 1 or 2 */
-    struct planes in, out;
+    float yw[3];               /* luminance-chroma: weights of the file's Y */
+    char prefix[EXR_PREFIX_BYTES]; /* of a scene's channels: "", "diffuse.", "diffuse.right." */
+    const char *view;          /* into the input; NULL: of no view */
+    uint32_t view_bytes;
+    struct planes in, out[1 + EXR_EXTRAS_MAX];
     struct planes yc[3];       /* encode of luminance-chroma: Y, RY, BY to be stored */
     bool untouched;
 };
@@ -225,8 +255,7 @@ static inline uint32_t exr_sampled(uint32_t y, uint32_t rows, uint32_t s)
 {
     return (y + rows + s - 1) / s - (y + s - 1) / s;
 }
-/* Bytes of row y (from the corner), `width` pixels wide. */
-uint64_t exr_row_bytes(const struct exr_part *p, uint32_t width, uint32_t y, bool out);
+/* Bytes of rows [y, y + rows), `width` pixels wide; out: of the output's channels in their types. */
 uint64_t exr_rows_bytes(const struct exr_part *p, uint32_t width, uint32_t y, uint32_t rows, bool out);
 /* Geometry and limits of one part: fills chunks (without offsets), levels. */
 int exr_plan_chunks(struct exr *x, struct exr_part *p, struct fault *f);
@@ -238,6 +267,41 @@ struct exr_chunk *exr_scanline_chunk(struct exr_part *p, uint32_t y);
 
 /* ---- exr_select.c ---- */
 int exr_select_targets(struct exr *x, const struct exr_select *s, struct fault *f);
+
+/* Names for a fault's text, each once. */
+struct exr_list {
+    char text[200];
+    size_t used;
+    bool full;
+};
+void exr_list_add(struct exr_list *l, const char *word, size_t n);
+void exr_list_layers(const struct exr_part *p, struct exr_list *l);
+
+bool exr_same(const char *word, const char *bytes, uint32_t n);
+/* Walks a multiView attribute. */
+bool exr_next_view(const uint8_t **at, const uint8_t *end, const char **view, uint32_t *n);
+struct exr_channel *exr_channel_find(const struct exr_part *p, const char *prefix, const char *name);
+/* The colour channels under a prefix: R G B, or Y RY BY (*chroma), or Y. How many; 0: no layer. */
+unsigned exr_layer_find(const struct exr_part *p, const char *prefix, struct exr_channel *c[3], bool *chroma);
+/* Why they cannot be read as colour, *bad is the one; NULL: they can. */
+const char *exr_layer_unfit(const struct exr_part *p, struct exr_channel *const c[3], unsigned n, bool chroma,
+                            const struct exr_channel **bad);
+/* A target that reads these channels, of p's window; NULL and *f when there are too many. Counts it. */
+struct exr_state *exr_target_new(struct exr *x, struct exr_part *p, struct exr_channel *const c[3], unsigned n,
+                                 bool chroma, struct fault *f);
+/* The channel that plane p of the target is read from. */
+unsigned exr_channel_of(const struct exr *x, const struct exr_state *t, unsigned plane);
+
+/* ---- exr_companion.c ---- */
+int exr_select_companions(struct exr *x, const struct exr_select *s, struct fault *f);
+
+/* ---- exr_layout.c ---- */
+/* The output's channels of all parts with scenes: types, extra layers. */
+int exr_plan_channels(struct exr *x, struct fault *f);
+/* What the caller set, of the part's scenes. */
+uint32_t exr_part_grow(const struct exr *x, const struct exr_part *p);
+/* The output's window and chunks of one part, whose grow and out_compression are set. */
+int exr_plan_outs(struct exr_part *p, struct fault *f);
 
 /* ---- exr_codec.c ---- */
 /* packed -> exactly unpacked_bytes. 0, or -1 with a few words in why. */
@@ -252,7 +316,7 @@ int exr_codec_view(struct exr_worker *w, const struct exr_part *p, uint32_t y, u
                    uint32_t rows, bool out, struct exr_codec_chunk *c);
 /* Scratch that belongs to the worker, at least n bytes; slot 0..EXR_SCRATCHES-1. NULL: no memory. */
 enum { EXR_SCRATCH_ROW, EXR_SCRATCH_CHUNK, EXR_SCRATCH_ZIP, EXR_SCRATCH_PACKED, EXR_SCRATCH_VIEW,
-       EXR_SCRATCH_MERGE, EXR_SCRATCHES };
+       EXR_SCRATCH_MERGE, EXR_SCRATCH_GROWN, EXR_SCRATCHES };
 void *exr_scratch(struct exr_worker *w, unsigned slot, uint64_t n);
 /* Decodes chunk k of the part into its pixels, unless they are there. */
 int exr_decode_chunk(struct exr *x, struct exr_part *p, struct exr_chunk *k, struct exr_worker *w,
@@ -275,6 +339,10 @@ void exr_note_dropped(struct exr *x, const struct exr_part *p);
 int exr_plan_decode(struct exr *x, struct fault *f);
 /* A row of a file's channel as floats. */
 void exr_row_to_float(float *out, const uint8_t *in, unsigned type, size_t n, uint16_t *scratch);
+
+/* Columns [x, x + width) of row y, all channels as in an unpacked chunk, from the chunks of level 0; x and y count
+ * from the input's corner, and what is outside its window is 0. Parts without subsampled channels. */
+void exr_gather_row(const struct exr_part *p, int64_t x, int64_t y, uint32_t width, uint8_t *out);
 
 /* Row y of a channel of level 0 as floats, width / x_sampling of them; its chunks are decoded. */
 void exr_fetch_row(const struct exr_part *p, unsigned channel, uint32_t y, float *out,

@@ -86,7 +86,7 @@ static float *shrink_plane(const float *in, uint32_t w, uint32_t h, uint32_t nw,
 
 static void out_row(const struct exr_state *t, const struct exr_channel *c, uint32_t y, float *row)
 {
-    const struct planes *from = t->luma_chroma ? &t->yc[c->plane] : &t->out;
+    const struct planes *from = t->luma_chroma ? &t->yc[c->plane] : &t->out[0];
     const uint8_t *at = planes_row(from, t->luma_chroma ? 0 : c->plane, y);
     if (from->type == PIXEL_TYPE_HALF)
         half_to_float(row, (const uint16_t *)(const void *)at, from->width);

@@ -5,6 +5,7 @@
  * A layer is a prefix of channel names ("diffuse" -> diffuse.R, diffuse.G, diffuse.B). In a part with a
  * multiView attribute the view is the last component but one ("right.R", "diffuse.right.R"), and names
  * without any prefix are of the first view. In other parts the attribute `view` names the whole part's.
+ * Whether channels can be read as colour is asked here for the glow's source, too (exr_companion.c).
  */
 #include <math.h>
 #include <stdio.h>
@@ -17,13 +18,7 @@ static bool given(const char *word) { return word && *word; }
 
 // ---- text for faults ------------------------------------------------------------------------------------
 
-struct list {
-    char text[200];
-    size_t used;
-    bool full;
-};
-
-static bool list_has(const struct list *l, const char *word, size_t n)
+static bool list_has(const struct exr_list *l, const char *word, size_t n)
 {
     for (const char *p = l->text; p && *p; p = strstr(p, ", "), p = p ? p + 2 : NULL)
         if (!strncmp(p, word, n) && (!p[n] || p[n] == ','))
@@ -31,7 +26,7 @@ static bool list_has(const struct list *l, const char *word, size_t n)
     return false;
 }
 
-static void list_add(struct list *l, const char *word, size_t n)
+void exr_list_add(struct exr_list *l, const char *word, size_t n)
 {
     if (l->full || !n || list_has(l, word, n))
         return;
@@ -64,38 +59,27 @@ static bool luma_of(const float c[8], float luma[3])
     const double y[3] = { sr * ry, sg * gy, sb * by }, sum = y[0] + y[1] + y[2];
     if (!(sum > 1e-9))
         return false;
+    float found[3];
     for (int i = 0; i < 3; i++) {
-        luma[i] = (float)(y[i] / sum);
-        if (!isfinite(luma[i]) || fabsf(luma[i]) > 16)
+        found[i] = (float)(y[i] / sum);
+        if (!isfinite(found[i]) || fabsf(found[i]) > 16)
             return false;
     }
+    memcpy(luma, found, sizeof(found));
     return true;
 }
 
-static void set_luma(struct exr *x, const struct exr_part *p, struct exr_target *t)
+// False: the chromaticities make no colour space, and Rec.709's are taken.
+static bool part_luma(const struct exr_part *p, float luma[3])
 {
     static const float rec709[8] = { 0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f };
-    luma_of(rec709, t->luma);
-    float luma[3];
-    if (!p->has_chromaticities)
-        return;
-    if (luma_of(p->chromaticities, luma))
-        memcpy(t->luma, luma, sizeof(luma));
-    else
-        exr_add_note(x, "part %u: chromaticities make no colour space; Rec.709 luminance is used", p->index);
+    luma_of(rec709, luma);
+    return !p->has_chromaticities || luma_of(p->chromaticities, luma);
 }
 
 // ---- one layer of one part --------------------------------------------------------------------------------
 
-struct pick {
-    struct exr *x;
-    const struct exr_select *want;
-    bool explicit;    // a part or a layer was asked for by name
-    struct fault why; // why something that looked right was passed over
-    bool partial;     // why is about missing channels
-};
-
-static struct exr_channel *channel_find(const struct exr_part *p, const char *prefix, const char *name)
+struct exr_channel *exr_channel_find(const struct exr_part *p, const char *prefix, const char *name)
 {
     const size_t n = strlen(prefix);
     for (unsigned i = 0; i < p->channels; i++)
@@ -103,6 +87,100 @@ static struct exr_channel *channel_find(const struct exr_part *p, const char *pr
             return &p->channel[i];
     return NULL;
 }
+
+static const char *const colour_words[][3] = { { "R", "G", "B" }, { "r", "g", "b" },
+                                               { "red", "green", "blue" } };
+enum { COLOUR_WORDS = sizeof(colour_words) / sizeof(colour_words[0]) };
+
+unsigned exr_layer_find(const struct exr_part *p, const char *prefix, struct exr_channel *c[3], bool *chroma)
+{
+    *chroma = false;
+    for (unsigned s = 0; s < COLOUR_WORDS; s++) {
+        unsigned found = 0;
+        for (unsigned i = 0; i < 3; i++)
+            found += (c[i] = exr_channel_find(p, prefix, colour_words[s][i])) != NULL;
+        if (found == 3)
+            return 3;
+    }
+    c[0] = exr_channel_find(p, prefix, "Y");
+    c[1] = exr_channel_find(p, prefix, "RY");
+    c[2] = exr_channel_find(p, prefix, "BY");
+    *chroma = c[0] && c[1] && c[2];
+    return *chroma ? 3 : c[0] != NULL;
+}
+
+const char *exr_layer_unfit(const struct exr_part *p, struct exr_channel *const c[3], unsigned n, bool chroma,
+                            const struct exr_channel **bad)
+{
+    float luma[3];
+    for (unsigned i = 0; i < n; i++) {
+        const int32_t s = chroma && i ? c[1]->x_sampling : 1;
+        *bad = c[i];
+        if (c[i]->type == PIXEL_TYPE_UINT)
+            return "is UINT: only HALF and FLOAT can be bloomed";
+        if (c[i]->x_sampling != s || c[i]->y_sampling != s || s > 2)
+            return "is subsampled in a way that no colour layer is";
+    }
+    *bad = c[0];
+    if (p->storage >= EXR_DEEP_SCANLINE)
+        return "is deep data, which cannot be bloomed yet";
+    part_luma(p, luma);
+    if (chroma && fabsf(luma[1]) < 1e-4f)
+        return "cannot be made R, G, B: its chromaticities give green no luminance";
+    return NULL;
+}
+
+struct exr_state *exr_target_new(struct exr *x, struct exr_part *p, struct exr_channel *const c[3], unsigned n,
+                                 bool chroma, struct fault *f)
+{
+    if (x->targets == EXR_TARGETS_MAX) {
+        fault_set(f, FAULT_EXR_TOO_LARGE, "input",
+                  "more than %d layers would be bloomed or read for it: choose some by part, layer or view",
+                  EXR_TARGETS_MAX);
+        return NULL;
+    }
+    struct exr_state *t = &x->target[x->targets];
+    *t = (struct exr_state){ .pub = { .source = -1, .matte = -1, .depth = -1, .part = p->index,
+                                      .min_x = p->min_x, .min_y = p->min_y, .width = p->width,
+                                      .height = p->height, .channels = n, .type = PIXEL_TYPE_HALF,
+                                      .luma = { 1 }, .pixel_aspect = p->pixel_aspect,
+                                      .display_width = p->display_width },
+                             .luma_chroma = chroma,
+                             .chroma_sampling = chroma ? (uint8_t)c[1]->x_sampling : 1 };
+    const bool space = part_luma(p, t->yw);
+    if (!space && !p->targets)
+        exr_add_note(x, "part %u: chromaticities make no colour space; Rec.709 luminance is used", p->index);
+    if (n == 3)
+        memcpy(t->pub.luma, t->yw, sizeof(t->yw));
+    for (unsigned i = 0; i < n; i++) {
+        c[i]->taps |= exr_tap(x->targets, i);
+        if (chroma || c[i]->type != PIXEL_TYPE_HALF)
+            t->pub.type = PIXEL_TYPE_FLOAT;
+    }
+    x->targets++;
+    p->targets++;
+    return t;
+}
+
+unsigned exr_channel_of(const struct exr *x, const struct exr_state *t, unsigned plane)
+{
+    const struct exr_part *p = &x->part[t->pub.part];
+    const uint64_t tap = exr_tap((unsigned)(t - x->target), plane);
+    for (unsigned i = 0; i < p->channels; i++)
+        if (p->channel[i].taps & tap)
+            return i;
+    return 0; // cannot be: each plane of a target has its channel
+}
+
+struct pick {
+    struct exr *x;
+    const struct exr_select *want;
+    bool explicit;    // a part or a layer was asked for by name
+    struct fault why; // why something that looked right was passed over
+    bool partial;     // why is about missing channels
+    const char *view; // at hand; NULL: none
+    uint32_t view_bytes;
+};
 
 static int refuse(struct pick *k, const struct exr_part *p, const char *channel, const char *what)
 {
@@ -114,93 +192,62 @@ static int refuse(struct pick *k, const struct exr_part *p, const char *channel,
     return k->explicit ? -1 : 0;
 }
 
-static struct exr_state *target_new(struct pick *k, struct exr_part *p, const char *name)
-{
-    struct exr *x = k->x;
-    if (x->targets == EXR_TARGETS_MAX) {
-        fault_set(&k->why, FAULT_EXR_TOO_LARGE, "input",
-                  "more than %d layers would be bloomed: choose some by part, layer or view",
-                  EXR_TARGETS_MAX);
-        return NULL;
-    }
-    struct exr_state *t = &x->target[x->targets];
-    *t = (struct exr_state){ .pub = { .part = p->index, .min_x = p->min_x, .min_y = p->min_y,
-                                      .width = p->width, .height = p->height,
-                                      .pixel_aspect = p->pixel_aspect } };
-    snprintf(t->pub.name, sizeof(t->pub.name), "%s", name);
-    set_luma(x, p, &t->pub);
-    return t;
-}
-
-// The targets take these channels; 1: done, 0: passed over, -1: fault.
+// The scene takes these channels; 1: done, 0: passed over, -1: fault.
 static int take(struct pick *k, struct exr_part *p, struct exr_channel *c[3], unsigned n, bool chroma,
-                const char *name)
+                const char *prefix, const char *name)
 {
-    bool half = !chroma;
-    for (unsigned i = 0; i < n; i++) {
+    const struct exr_channel *bad;
+    for (unsigned i = 0; i < n; i++)
         if (c[i]->target >= 0)
             return 1;
-        if (c[i]->type == PIXEL_TYPE_UINT)
-            return refuse(k, p, c[i]->name, "is UINT: only HALF and FLOAT can be bloomed");
-        const int32_t s = chroma && i ? c[1]->x_sampling : 1;
-        if (c[i]->x_sampling != s || c[i]->y_sampling != s || s > 2)
-            return refuse(k, p, c[i]->name, "is subsampled in a way that no colour layer is");
-        half = half && c[i]->type == PIXEL_TYPE_HALF;
-    }
-    if (p->storage >= EXR_DEEP_SCANLINE)
-        return refuse(k, p, c[0]->name, "is deep data, which cannot be bloomed yet");
-    struct exr_state *t = target_new(k, p, name);
-    if (!t)
-        return -1;
-    t->luma_chroma = chroma;
-    t->chroma_sampling = chroma ? (uint8_t)c[1]->x_sampling : 1;
-    t->pub.channels = n;
-    t->pub.type = half ? PIXEL_TYPE_HALF : PIXEL_TYPE_FLOAT;
-    if (chroma && fabsf(t->pub.luma[1]) < 1e-4f)
-        return refuse(k, p, c[0]->name, "cannot be made R, G, B: its chromaticities give green no luminance");
-    if (n == 1) {
-        t->pub.luma[0] = 1;
-        t->pub.luma[1] = t->pub.luma[2] = 0;
-    }
+    const char *unfit = exr_layer_unfit(p, c, n, chroma, &bad);
+    if (unfit)
+        return refuse(k, p, bad->name, unfit);
     for (unsigned i = 0; i < n; i++) {
         c[i]->target = (int)k->x->targets;
         c[i]->plane = i;
     }
-    k->x->targets++;
-    p->targets++;
+    struct exr_state *t = exr_target_new(k->x, p, c, n, chroma, &k->why);
+    if (!t)
+        return -1;
+    snprintf(t->pub.name, sizeof(t->pub.name), "%s", name);
+    snprintf(t->prefix, sizeof(t->prefix), "%s", prefix);
+    t->view = k->view;
+    t->view_bytes = k->view_bytes;
+    p->scenes++;
     return 1;
+}
+
+static void note_partial(struct pick *k, const struct exr_part *p, const char *prefix)
+{
+    char title[96];
+    for (unsigned s = 0; s < COLOUR_WORDS && !k->why.code; s++) {
+        const char *const *words = colour_words[s];
+        unsigned found = 0, missing = 0;
+        for (unsigned i = 0; i < 3; i++) {
+            const bool there = exr_channel_find(p, prefix, words[i]) != NULL;
+            found += there;
+            missing = there ? missing : i;
+        }
+        if (!found)
+            continue;
+        fault_set(&k->why, FAULT_NO_LAYER, "layer", "layer '%.64s' of %s has no channel %s: %s, %s "
+                  "and %s are needed", *prefix ? prefix : "(unprefixed)", exr_part_title(p, title),
+                  words[missing], words[0], words[1], words[2]);
+        k->partial = true;
+    }
 }
 
 // R, G, B under the prefix, else Y with or without its chroma.
 static int take_prefix(struct pick *k, struct exr_part *p, const char *prefix, const char *name)
 {
-    static const char *const words[][3] = { { "R", "G", "B" }, { "r", "g", "b" },
-                                            { "red", "green", "blue" } };
     struct exr_channel *c[3];
-    char title[96];
-    for (unsigned s = 0; s < 3; s++) {
-        unsigned found = 0, missing = 0;
-        for (unsigned i = 0; i < 3; i++) {
-            c[i] = channel_find(p, prefix, words[s][i]);
-            found += c[i] != NULL;
-            missing = c[i] ? missing : i;
-        }
-        if (found == 3)
-            return take(k, p, c, 3, false, name);
-        if (found && !k->why.code) {
-            fault_set(&k->why, FAULT_NO_LAYER, "layer", "layer '%.64s' of %s has no channel %s: %s, %s "
-                      "and %s are needed", *prefix ? prefix : "(unprefixed)", exr_part_title(p, title),
-                      words[s][missing], words[s][0], words[s][1], words[s][2]);
-            k->partial = true;
-        }
-    }
-    c[0] = channel_find(p, prefix, "Y");
-    c[1] = channel_find(p, prefix, "RY");
-    c[2] = channel_find(p, prefix, "BY");
-    if (!c[0])
-        return 0;
-    const bool chroma = c[1] && c[2];
-    return take(k, p, c, chroma ? 3 : 1, chroma, name);
+    bool chroma;
+    const unsigned n = exr_layer_find(p, prefix, c, &chroma);
+    if (n)
+        return take(k, p, c, n, chroma, prefix, name);
+    note_partial(k, p, prefix);
+    return 0;
 }
 
 // ---- one part -----------------------------------------------------------------------------------------------
@@ -224,7 +271,7 @@ static void title_of(const struct pick *k, const struct exr_part *p, const char 
         snprintf(out, size, "beauty");
 }
 
-static bool next_view(const uint8_t **at, const uint8_t *end, const char **view, uint32_t *n)
+bool exr_next_view(const uint8_t **at, const uint8_t *end, const char **view, uint32_t *n)
 {
     if (end - *at < 4)
         return false;
@@ -236,22 +283,20 @@ static bool next_view(const uint8_t **at, const uint8_t *end, const char **view,
     return true;
 }
 
-static bool same(const char *word, const char *bytes, uint32_t n)
+bool exr_same(const char *word, const char *bytes, uint32_t n)
 {
     return strlen(word) == n && !memcmp(word, bytes, n);
 }
-
-enum { PREFIX_BYTES = 600 };
 
 static int pick_views(struct pick *k, struct exr_part *p)
 {
     const uint8_t *at = p->multi_view, *end = at + p->multi_view_bytes;
     const char *view, *layer = given(k->want->layer) ? k->want->layer : "";
     uint32_t n;
-    char prefix[PREFIX_BYTES], name[256];
+    char prefix[EXR_PREFIX_BYTES], name[256];
     int taken = 0;
-    for (unsigned i = 0; next_view(&at, end, &view, &n); i++) {
-        if ((given(k->want->view) && !same(k->want->view, view, n)) || !n || n > 255)
+    for (unsigned i = 0; exr_next_view(&at, end, &view, &n); i++) {
+        if ((given(k->want->view) && !exr_same(k->want->view, view, n)) || !n || n > 255)
             continue;
         if (*layer)
             snprintf(prefix, sizeof(prefix), "%.255s.%.*s.", layer, (int)n, view);
@@ -260,6 +305,8 @@ static int pick_views(struct pick *k, struct exr_part *p)
         else
             prefix[0] = 0;
         title_of(k, p, view, n, name, sizeof(name));
+        k->view = view;
+        k->view_bytes = n;
         int one = take_prefix(k, p, prefix, name);
         if (one < 0)
             return -1;
@@ -268,6 +315,8 @@ static int pick_views(struct pick *k, struct exr_part *p)
     if (*layer && !taken && !given(k->want->view)) { // a layer that is of no view
         snprintf(prefix, sizeof(prefix), "%.255s.", layer);
         title_of(k, p, "", 0, name, sizeof(name));
+        k->view = NULL;
+        k->view_bytes = 0;
         return take_prefix(k, p, prefix, name);
     }
     return taken;
@@ -277,12 +326,14 @@ static int pick_part(struct pick *k, struct exr_part *p)
 {
     if (p->multi_view)
         return pick_views(k, p);
-    if (given(k->want->view) && !(p->view && same(k->want->view, p->view, p->view_bytes)))
+    if (given(k->want->view) && !(p->view && exr_same(k->want->view, p->view, p->view_bytes)))
         return 0;
-    char prefix[PREFIX_BYTES] = "", name[256];
+    char prefix[EXR_PREFIX_BYTES] = "", name[256];
     if (given(k->want->layer))
         snprintf(prefix, sizeof(prefix), "%.255s.", k->want->layer);
     title_of(k, p, p->view, p->view_bytes, name, sizeof(name));
+    k->view = p->view;
+    k->view_bytes = p->view_bytes;
     return take_prefix(k, p, prefix, name);
 }
 
@@ -290,10 +341,10 @@ static int pick_part(struct pick *k, struct exr_part *p)
 
 static bool part_matches(const struct exr *x, const struct exr_part *p, const char *word)
 {
-    if (p->name && same(word, p->name, p->name_bytes))
+    if (p->name && exr_same(word, p->name, p->name_bytes))
         return true;
     for (unsigned i = 0; i < x->parts; i++) // names go before numbers
-        if (x->part[i].name && same(word, x->part[i].name, x->part[i].name_bytes))
+        if (x->part[i].name && exr_same(word, x->part[i].name, x->part[i].name_bytes))
             return false;
     char number[16];
     snprintf(number, sizeof(number), "%u", p->index);
@@ -302,16 +353,16 @@ static bool part_matches(const struct exr *x, const struct exr_part *p, const ch
 
 static int no_part(const struct exr *x, const char *word, struct fault *f)
 {
-    struct list l = { .text = "" };
+    struct exr_list l = { .text = "" };
     for (unsigned i = 0; i < x->parts; i++)
-        list_add(&l, x->part[i].name ? x->part[i].name : "(no name)",
+        exr_list_add(&l, x->part[i].name ? x->part[i].name : "(no name)",
                  x->part[i].name ? x->part[i].name_bytes : 9);
     return fault_set(f, FAULT_NO_PART, "part", "part '%.40s' asked for; the file has %u part%s: %s", word,
                      x->parts, x->parts == 1 ? "" : "s", l.text);
 }
 
 // Whether the view that was asked for is anywhere; lists those that are.
-static bool view_known(const struct exr *x, const char *word, struct list *l)
+static bool view_known(const struct exr *x, const char *word, struct exr_list *l)
 {
     bool known = false;
     for (unsigned i = 0; i < x->parts; i++) {
@@ -319,27 +370,23 @@ static bool view_known(const struct exr *x, const char *word, struct list *l)
         const uint8_t *at = p->multi_view, *end = at ? at + p->multi_view_bytes : NULL;
         const char *view;
         uint32_t n;
-        while (at && next_view(&at, end, &view, &n)) {
-            list_add(l, view, n);
-            known |= same(word, view, n);
+        while (at && exr_next_view(&at, end, &view, &n)) {
+            exr_list_add(l, view, n);
+            known |= exr_same(word, view, n);
         }
         if (p->view && !p->multi_view) {
-            list_add(l, p->view, p->view_bytes);
-            known |= same(word, p->view, p->view_bytes);
+            exr_list_add(l, p->view, p->view_bytes);
+            known |= exr_same(word, p->view, p->view_bytes);
         }
     }
     return known;
 }
 
-static void list_layers(const struct exr *x, const char *part, struct list *l)
+void exr_list_layers(const struct exr_part *p, struct exr_list *l)
 {
-    for (unsigned i = 0; i < x->parts; i++) {
-        if (given(part) && !part_matches(x, &x->part[i], part))
-            continue;
-        for (unsigned c = 0; c < x->part[i].channels; c++) {
-            const char *name = x->part[i].channel[c].name, *dot = strrchr(name, '.');
-            list_add(l, name, dot ? (size_t)(dot - name) : strlen(name));
-        }
+    for (unsigned c = 0; c < p->channels; c++) {
+        const char *name = p->channel[c].name, *dot = strrchr(name, '.');
+        exr_list_add(l, name, dot ? (size_t)(dot - name) : strlen(name));
     }
 }
 
@@ -351,11 +398,13 @@ static int nothing(const struct pick *k, struct fault *f)
             *f = k->why;
         return -1;
     }
-    struct list l = { .text = "" };
+    struct exr_list l = { .text = "" };
     if (given(s->view) && !view_known(k->x, s->view, &l))
         return fault_set(f, FAULT_NO_VIEW, "view", "view '%.40s' asked for; the file has %s%s", s->view,
                          l.used ? "views: " : "no views", l.text);
-    list_layers(k->x, s->part, &l);
+    for (unsigned i = 0; i < k->x->parts; i++)
+        if (!given(s->part) || part_matches(k->x, &k->x->part[i], s->part))
+            exr_list_layers(&k->x->part[i], &l);
     if (given(s->layer))
         return fault_set(f, FAULT_NO_LAYER, "layer", "layer '%.40s' asked for; the file has: %s", s->layer,
                          l.text);

@@ -56,30 +56,56 @@ static bool is_stale(const struct exr_attr *a)
     return false;
 }
 
+static uint32_t channels_bytes(const struct exr_part *p)
+{
+    uint64_t n = 1;
+    for (unsigned i = 0; i < p->out_channels; i++)
+        n += strlen(p->out_channel[i].name) + 1 + 16;
+    return (uint32_t)n; // at most 4096 names of 256 bytes
+}
+
+// Entries of the input stay as they are but for the type.
 static void put_channels(struct buffer *b, const struct exr_part *p, const struct exr_attr *a)
 {
-    if (!b->data) {
-        b->used += (uint64_t)(a->data - a->record) + a->bytes;
-        return;
+    put(b, a->record, (size_t)(a->data - a->record) - 4);
+    put_number(b, channels_bytes(p));
+    for (unsigned i = 0; i < p->out_channels; i++) {
+        const struct exr_channel *c = &p->out_channel[i];
+        const size_t name_bytes = strlen(c->name) + 1;
+        put(b, c->name, name_bytes);
+        put_number(b, c->out_type);
+        if (c->from >= 0) {
+            put(b, c->name + name_bytes + 4, 12);
+        } else {
+            put_number(b, 0);
+            put_number(b, 1);
+            put_number(b, 1);
+        }
     }
-    uint8_t *at = b->data + b->used + (a->data - a->record);
-    put(b, a->record, (size_t)(a->data - a->record) + a->bytes);
-    for (unsigned i = 0; i < p->channels; i++) {
-        at += strlen(p->channel[i].name) + 1;
-        exr_put_u32(at, p->channel[i].out_type);
-        at += 16;
-    }
+    put(b, "", 1);
+}
+
+static void put_window(struct buffer *b, const struct exr_part *p)
+{
+    const uint32_t x = (uint32_t)p->min_x - p->grow, y = (uint32_t)p->min_y - p->grow;
+    put_number(b, x);
+    put_number(b, y);
+    put_number(b, x + p->out_width - 1);
+    put_number(b, y + p->out_height - 1);
 }
 
 static void put_attr(struct buffer *b, const struct exr_part *p, const struct exr_attr *a)
 {
     const size_t leader = (size_t)(a->data - a->record);
-    if (p->retyped && exr_attr_is(a, "channels", "chlist")) {
+    if ((p->retyped || p->extended) && exr_attr_is(a, "channels", "chlist")) {
         put_channels(b, p, a);
     } else if (p->changes && exr_attr_is(a, "compression", "compression")) {
         const uint8_t value = (uint8_t)p->out_compression;
         put(b, a->record, leader);
         put(b, &value, 1);
+    } else if (p->changes && p->grow && exr_attr_is(a, "dataWindow", "box2i")) {
+        put(b, a->record, leader);
+        put_window(b, p);
     } else if (p->relayout && exr_attr_is(a, "chunkCount", "int")) {
         put(b, a->record, leader);
         put_number(b, p->outs);
@@ -88,13 +114,24 @@ static void put_attr(struct buffer *b, const struct exr_part *p, const struct ex
     }
 }
 
+// Readers refuse longer names of channels where the version does not announce them.
+static bool has_long_names(const struct exr *x)
+{
+    for (unsigned i = 0; i < x->parts; i++)
+        for (unsigned c = 0; c < x->part[i].out_channels; c++)
+            if (x->part[i].out_channel[c].from < 0 && strlen(x->part[i].out_channel[c].name) > 31)
+                return true;
+    return false;
+}
+
 static void put_headers(struct buffer *b, const struct exr *x)
 {
-    put(b, x->bytes, 8);
+    put(b, x->bytes, 4);
+    put_number(b, x->version_word | (has_long_names(x) ? EXR_FLAG_LONG_NAMES : 0));
     for (unsigned i = 0; i < x->parts; i++) {
         const struct exr_part *p = &x->part[i];
         const uint8_t *at = p->header, *end = p->header_end + 1;
-        const bool stamped = x->stamp && p->targets;
+        const bool stamped = x->stamp && p->scenes;
         bool done = false;
         struct exr_attr a;
         while (exr_attr_next(&at, end, &a, NULL) > 0) {
@@ -169,19 +206,30 @@ uint64_t exr_assembled_bytes(const struct exr *x)
     return bytes;
 }
 
+// Of what chunk k is made, and where it goes among those of the same origin.
+static struct place place_of(struct exr_part *p, uint32_t k)
+{
+    struct place at = { .tie = p->line_order == 1 ? -(int64_t)k : (int64_t)k, .part = p->index, .index = k };
+    if (p->changes && p->grow) { // of no one chunk: all together where the part's first is
+        const struct exr_out_chunk *o = &p->out[k];
+        at.key = p->chunk[0].at;
+        if (p->line_order == 1) // rows from below, but tiles from the left
+            at.tie = (int64_t)o->tile_x - (int64_t)o->tile_y * (int64_t)p->out_width;
+        return at;
+    }
+    at.key = (p->changes && p->relayout ? exr_scanline_chunk(p, p->out[k].row) : &p->chunk[k])->at;
+    return at;
+}
+
 static void order_chunks(struct exr *x, struct place *places)
 {
     uint64_t n = 0;
     bool sorted = true;
-    for (unsigned i = 0; i < x->parts; i++) {
-        struct exr_part *p = &x->part[i];
-        for (uint32_t k = 0; k < part_chunks(p); k++, n++) {
-            const struct exr_chunk *from =
-                p->changes && p->relayout ? exr_scanline_chunk(p, p->out[k].row) : &p->chunk[k];
-            places[n] = (struct place){ from->at, p->line_order == 1 ? -(int64_t)k : (int64_t)k, i, k };
+    for (unsigned i = 0; i < x->parts; i++)
+        for (uint32_t k = 0; k < part_chunks(&x->part[i]); k++, n++) {
+            places[n] = place_of(&x->part[i], k);
             sorted &= !n || place_order(&places[n - 1], &places[n]) < 0;
         }
-    }
     if (!sorted)
         qsort(places, n, sizeof(*places), place_order);
 }
@@ -208,12 +256,12 @@ static unsigned make_leader(const struct exr *x, const struct exr_part *p, uint3
         n = 4;
     }
     if (p->storage == EXR_TILED) {
-        const struct exr_chunk *k = &p->chunk[i];
-        const uint32_t v[4] = { k->tile_x, k->tile_y, k->level_x, k->level_y };
+        const struct exr_out_chunk *o = &p->out[i];
+        const uint32_t v[4] = { o->tile_x, o->tile_y, o->level_x, o->level_y };
         for (unsigned c = 0; c < 4; c++, n += 4)
             exr_put_u32(out + n, v[c]);
     } else {
-        exr_put_u32(out + n, (uint32_t)p->min_y + p->out[i].row);
+        exr_put_u32(out + n, (uint32_t)p->min_y - p->grow + p->out[i].row);
         n += 4;
     }
     exr_put_u32(out + n, (uint32_t)p->out[i].bytes);

@@ -55,15 +55,6 @@ static int rows_alloc(struct frame_rows *r, uint32_t width, uint32_t height, uin
     return fault_set(f, FAULT_NO_MEMORY, "", "no memory to rebuild luminance-chroma");
 }
 
-static unsigned channel_of(const struct exr *x, const struct exr_part *p, const struct exr_state *t,
-                           unsigned plane)
-{
-    for (unsigned i = 0; i < p->channels; i++)
-        if (p->channel[i].target == (int)(t - x->target) && p->channel[i].plane == plane)
-            return i;
-    return 0; // cannot be: a luminance-chroma target has its three channels
-}
-
 // ---- decode -----------------------------------------------------------------------------------------------
 
 static void widen(float *out, const float *in, uint32_t width)
@@ -115,9 +106,9 @@ int exr_yc_decode(struct exr *x, struct exr_state *t, struct fault *f)
     struct frame_rows r;
     if (rows_alloc(&r, w, h, (uint64_t)w * (h / s), f))
         return -1;
-    const unsigned luminance = channel_of(x, p, t, 0);
+    const unsigned luminance = exr_channel_of(x, t, 0);
     for (unsigned c = 0; c < 2; c++) {
-        const unsigned channel = channel_of(x, p, t, c + 1);
+        const unsigned channel = exr_channel_of(x, t, c + 1);
         for (uint32_t y = 0; y < h; y += s) {
             float *to = r.chroma[c] + (size_t)(y / s) * w;
             exr_fetch_row(p, channel, y, s == 2 ? r.row[0] : to, r.half);
@@ -134,7 +125,7 @@ int exr_yc_decode(struct exr *x, struct exr_state *t, struct fault *f)
                 rebuild_row(r.row[1 + c], r.chroma[c], w, h, y);
         }
         to_rgb((float *)(void *)planes_row(&t->in, 0, y), (float *)(void *)planes_row(&t->in, 1, y),
-               (float *)(void *)planes_row(&t->in, 2, y), r.row[0], chroma[0], chroma[1], w, t->pub.luma);
+               (float *)(void *)planes_row(&t->in, 2, y), r.row[0], chroma[0], chroma[1], w, t->yw);
         frame_scan_row(&t->pub.scan, &t->in, y, t->pub.luma);
     }
     rows_free(&r);
@@ -170,9 +161,9 @@ static bool changes_of_row(const struct exr_state *t, uint32_t at, float *y, flo
     bool any = false;
     for (unsigned c = 0; c < 3; c++) {
         in[c] = (const float *)(const void *)planes_row(&t->in, c, at);
-        out[c] = (const float *)(const void *)planes_row(&t->out, c, at);
+        out[c] = (const float *)(const void *)planes_row(&t->out[0], c, at);
     }
-    const float *l = t->pub.luma;
+    const float *l = t->yw;
     for (uint32_t i = 0; i < t->pub.width; i++) {
         d[0][i] = d[1][i] = 0;
         const float a[3] = { in[0][i], in[1][i], in[2][i] }, b[3] = { out[0][i], out[1][i], out[2][i] };
@@ -235,7 +226,7 @@ int exr_yc_encode(struct exr *x, struct exr_state *t, struct fault *f)
             return fault_set(f, FAULT_NO_MEMORY, "", "no memory for luminance-chroma");
     if (rows_alloc(&r, w, h, (uint64_t)n * h, f))
         return -1;
-    const unsigned luminance = channel_of(x, p, t, 0);
+    const unsigned luminance = exr_channel_of(x, t, 0);
     for (uint32_t y = 0; y < h; y++) {
         float *to = (float *)(void *)planes_row(&t->yc[0], 0, y), *const d[2] = { r.row[0], r.row[1] };
         exr_fetch_row(p, luminance, y, to, r.half);
@@ -248,7 +239,7 @@ int exr_yc_encode(struct exr *x, struct exr_state *t, struct fault *f)
         }
     }
     for (unsigned c = 0; c < 2; c++) {
-        const unsigned channel = channel_of(x, p, t, c + 1);
+        const unsigned channel = exr_channel_of(x, t, c + 1);
         for (uint32_t y = 0; y < h; y += s) {
             float *to = (float *)(void *)planes_row(&t->yc[1 + c], 0, y / s);
             exr_fetch_row(p, channel, y, to, r.half);

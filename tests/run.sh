@@ -41,7 +41,7 @@ run() { # label command...
     fi
 }
 
-for t in psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_bad raw engine look kernel convolve hard hard_slide property sched \
+for t in psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers exr_grow exr_bad raw engine look kernel convolve hard hard_slide property sched \
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
 done
@@ -52,7 +52,7 @@ A=$BUILD/asan
 # The loader unloads the driver before leaks are looked for, and then nothing can tell whose they are: keep it.
 # (The validation layer cannot be kept so, and the plain run has it.)
 keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0"
-for t in psf plan frame params reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_bad raw \
+for t in psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers exr_grow exr_bad raw \
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
 done

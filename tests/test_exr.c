@@ -320,7 +320,7 @@ static void look_rgb(unsigned target, const struct exr_target *t, const struct p
 static void check_luma_chroma(const struct made *m, unsigned allowed_percent)
 {
     struct rgb_image want = { 0 };
-    assert_int_equal(exr_tool_rgb(m->bytes, m->size, &want.rgb, &want.w, &want.h), 0);
+    assert_int_equal(exr_tool_rgb(m->bytes, m->size, "", &want.rgb, &want.w, &want.h), 0);
     struct exr_run r = { .options = { .compression = EXR_KEEP }, .look = look_rgb, .ctx = &want };
     run_ok(&r, m, NULL);
     if ((uint64_t)want.far_off * 100 > (uint64_t)allowed_percent * want.w * want.h)

@@ -244,6 +244,12 @@ static void test_attributes(void **state)
     memset(t->bytes + t->n, 'x', 300);
     t->n += 300;
     expect(t->bytes, t->n, NULL, FAULT_EXR_DAMAGED, "proper name");
+    const int32_t displays[][4] = { { 0, 0, INT32_MAX, 7 }, { INT32_MIN, 0, 0, 0 }, { 1, 0, 0, 7 } };
+    for (unsigned i = 0; i < 3; i++) {
+        write_head(t, &h);
+        add_attr(t, "displayWindow", "box2i", displays[i], 16);
+        expect(t->bytes, t->n, NULL, FAULT_EXR_DAMAGED, "displayWindow of part 0 is (");
+    }
     const float aspects[] = { 0, -1, 1e30f };
     for (unsigned i = 0; i < 3; i++) {
         write_head(t, &h);
@@ -251,6 +257,13 @@ static void test_attributes(void **state)
         add(t, "", 1);
         expect(t->bytes, t->n, NULL, FAULT_EXR_DAMAGED, "pixelAspectRatio");
     }
+    struct text *views = calloc(1, sizeof(*views));
+    for (unsigned i = 0; i < 257; i++)
+        add(views, "\1\0\0\0v", 5);
+    write_head(t, &h);
+    add_attr(t, "multiView", "stringvector", views->bytes, (uint32_t)views->n);
+    expect(t->bytes, t->n, NULL, FAULT_EXR_TOO_LARGE, "more than 256 views");
+    free(views);
     // a million attributes
     write_head(t, &h);
     const size_t million = 1000000, each = 11;
@@ -415,22 +428,49 @@ static void mutate(uint8_t *bytes, size_t *size)
     }
 }
 
+static void extra_all(unsigned target, unsigned k, struct planes *out, void *ctx)
+{
+    (void)target, (void)k, (void)ctx;
+    planes_set(out, 0, out->width - 1, out->height - 1, 3.0f);
+}
+
+// All that can be asked of a file, at random.
+static void ask(struct exr_run *r, int kind)
+{
+    static const char *const sources[] = { "diffuse", "glow", "emission", "right", "" };
+    static const char *const mattes[] = { "id", "A", "matte", "mask.A", "" };
+    const uint32_t dice = random_u32();
+    r->select.depth = dice & 1;
+    if (dice & 2) // the fitting one, mostly
+        r->select.source = sources[dice & 4 ? random_u32() % 5 : kind == 5 ? 1 : kind == 3 ? 2 : 0];
+    if (dice & 8)
+        r->select.matte = mattes[dice & 16 ? random_u32() % 5 : kind == 5 ? 2 : kind == 3 ? 3 : 0];
+    if (kind != 1 && kind != 2 && kind != 4 && (dice & 0x60) == 0x60)
+        r->grow = 1 + random_u32() % 40;
+    if ((dice & 0x180) == 0x180) {
+        r->options.extras = 1;
+        r->options.extra_name[0] = "bright";
+        r->extra = extra_all;
+    }
+}
+
 static void test_fuzz(void **state)
 {
     (void)state;
     const char *seed_word = getenv("AIRY_SEED"), *count_word = getenv("AIRY_FUZZ");
     const uint64_t seed = seed_word ? strtoull(seed_word, NULL, 0) : 20260101;
     const unsigned count = count_word ? (unsigned)atoi(count_word) : 150;
-    print_message("  seed %llu, %u mutations of each of 50 files\n", (unsigned long long)seed, count);
+    print_message("  seed %llu, %u mutations of each of 60 files\n", (unsigned long long)seed, count);
     random_state = seed * 2 + 1;
     unsigned accepted = 0, total = 0;
     for (int compression = EXR_NONE; compression <= EXR_DWAB; compression++)
-        for (int kind = 0; kind < 5; kind++) {
+        for (int kind = 0; kind < 6; kind++) {
             struct exr_tool_spec s = base_spec();
             s.compression = compression;
             s.tiled = kind < 3 ? kind : 0;
             s.parts = kind == 3 ? 3 : 1;
-            s.layout = kind == 4 ? EXR_TOOL_YC : EXR_TOOL_RGBA;
+            s.aov = kind == 3;
+            s.layout = kind == 4 ? EXR_TOOL_YC : kind == 5 ? EXR_TOOL_EYES : EXR_TOOL_RGBA;
             s.type = 1 + compression % 3;
             s.specials = compression < EXR_B44;
             if (kind == 4)
@@ -445,6 +485,8 @@ static void test_fuzz(void **state)
                 memcpy(exact, copy, size);
                 struct exr_run r = { .options = { .compression = EXR_KEEP, .stamp = "s" },
                                      .limits = &tight, .edit = edit_all };
+                if (i % 2)
+                    ask(&r, kind);
                 if (!exr_run(&r, exact, size)) {
                     accepted++;
                 } else if (!r.fault.code || !r.fault.text[0]) {

@@ -82,11 +82,11 @@ void planes_set(struct planes *p, unsigned c, uint32_t x, uint32_t y, float v)
         memcpy(row + 4 * (size_t)x, &v, 4);
 }
 
-static void planes_copy(struct planes *to, const struct planes *from)
+static void planes_copy(struct planes *to, const struct planes *from, uint32_t grow)
 {
     for (unsigned c = 0; c < from->count; c++)
         for (uint32_t y = 0; y < from->height; y++) {
-            uint8_t *row = planes_row(to, c, y);
+            uint8_t *row = planes_row(to, c, y + grow) + (size_t)grow * pixel_bytes(to->type);
             const uint8_t *src = planes_row(from, c, y);
             if (to->type == from->type)
                 memcpy(row, src, (size_t)from->width * pixel_bytes(from->type));
@@ -124,7 +124,7 @@ int exr_run(struct exr_run *r, const void *bytes, size_t size)
 {
     static const struct exr_limits generous = { 16384, 16384, UINT64_C(1) << 28, UINT64_C(1) << 32 };
     struct crew crew = { 0 };
-    struct planes in[16] = { { 0 } }, out[16] = { { 0 } };
+    struct planes in[16] = { { 0 } }, out[16][8] = { { { 0 } } };
     bool untouched[16];
     int result = exr_open(&crew.x, bytes, size, r->limits ? r->limits : &generous, &r->select, &r->options,
                           &r->fault);
@@ -135,22 +135,36 @@ int exr_run(struct exr_run *r, const void *bytes, size_t size)
         if (exr_worker_create(&crew.worker[i]))
             abort();
     for (unsigned i = 0; i < r->targets; i++) {
-        const struct exr_target *t = exr_target(crew.x, i);
+        struct exr_target *t = exr_target(crew.x, i);
+        const bool scene = t->role == EXR_SCENE;
+        t->grow = scene ? r->grow : 0;
         memcpy(r->names[i], t->name, sizeof(t->name));
         untouched[i] = r->untouched;
-        if (planes_alloc(&in[i], t->width, t->height, t->channels, t->type) ||
-            planes_alloc(&out[i], t->width, t->height, t->channels,
-                         r->float_out ? PIXEL_TYPE_FLOAT : t->type))
+        if (planes_alloc(&in[i], t->width, t->height, t->channels, t->type))
             abort();
-        exr_bind(crew.x, i, &in[i], &out[i]);
     }
-    result = crew_run(&crew, r, false);
+    result = exr_grow_check(crew.x, &r->fault);
+    for (unsigned i = 0; i < r->targets && !result; i++) {
+        const struct exr_target *t = exr_target(crew.x, i);
+        const bool scene = t->role == EXR_SCENE;
+        for (unsigned k = 0; scene && k <= r->options.extras; k++)
+            if (planes_alloc(&out[i][k], t->width + 2 * t->grow, t->height + 2 * t->grow, t->channels,
+                             r->float_out ? PIXEL_TYPE_FLOAT : t->type))
+                abort();
+        exr_bind(crew.x, i, &in[i], scene ? out[i] : NULL);
+    }
+    if (!result)
+        result = crew_run(&crew, r, false);
     for (unsigned i = 0; i < r->targets && !result; i++) {
         if (r->look)
             r->look(i, exr_target(crew.x, i), &in[i], r->ctx);
-        planes_copy(&out[i], &in[i]);
+        if (exr_target(crew.x, i)->role != EXR_SCENE)
+            continue;
+        planes_copy(&out[i][0], &in[i], exr_target(crew.x, i)->grow);
         if (r->edit)
-            r->edit(i, exr_target(crew.x, i), &out[i], r->ctx);
+            r->edit(i, exr_target(crew.x, i), &out[i][0], r->ctx);
+        for (unsigned k = 0; k < r->options.extras; k++)
+            r->extra(i, k, &out[i][1 + k], r->ctx);
     }
     if (!result)
         result = exr_encode_begin(crew.x, untouched, &r->fault);
@@ -161,7 +175,8 @@ int exr_run(struct exr_run *r, const void *bytes, size_t size)
     exr_close(crew.x);
     for (unsigned i = 0; i < 16; i++) {
         planes_free(&in[i]);
-        planes_free(&out[i]);
+        for (unsigned k = 0; k < 8; k++)
+            planes_free(&out[i][k]);
     }
     for (unsigned i = 0; i < THREADS_MAX; i++)
         exr_worker_destroy(crew.worker[i]);

@@ -10,10 +10,13 @@ struct exr_run {
     struct exr_options options;
     const struct exr_limits *limits;  /* NULL: generous */
     unsigned threads;                 /* 0: one, tasks in reverse order */
+    uint32_t grow;                    /* of every scene */
     bool untouched;
     bool float_out;                   /* output planes are FLOAT whatever the input is */
-    /* out begins as a copy of in; NULL leaves it so */
+    /* out begins as a copy of in, in the middle of what is grown; NULL leaves it so. Scenes only. */
     void (*edit)(unsigned target, const struct exr_target *t, struct planes *out, void *ctx);
+    /* fills extra layer k; needed when there are any */
+    void (*extra)(unsigned target, unsigned k, struct planes *out, void *ctx);
     void (*look)(unsigned target, const struct exr_target *t, const struct planes *in, void *ctx);
     void *ctx;
 

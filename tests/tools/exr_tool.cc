@@ -123,7 +123,8 @@ void fill_image(Image &im, const ChannelList &channels, const Box2i &w, unsigned
     for (auto i = channels.begin(); i != channels.end(); ++i, ++index) {
         const Channel &c = i.channel();
         const int cw = (w.max.x - w.min.x + 1) / c.xSampling, ch = (w.max.y - w.min.y + 1) / c.ySampling;
-        const bool chroma = !strcmp(i.name(), "RY") || !strcmp(i.name(), "BY");
+        const char *dot = strrchr(i.name(), '.'), *last = dot ? dot + 1 : i.name();
+        const bool chroma = !strcmp(last, "RY") || !strcmp(last, "BY");
         for (int y = 0; y < ch; y++)
             for (int x = 0; x < cw; x++) {
                 float v = sample(x, y, index, level, specials && !chroma);
@@ -180,6 +181,37 @@ void add_channels(Header &h, const exr_tool_spec *s)
         break;
     case EXR_TOOL_G:
         c.insert("G", Channel(t));
+        break;
+    case EXR_TOOL_EYES:
+        for (const char *eye : { "", "right." }) {
+            rgb(eye);
+            rgb(std::string("glow.") + eye);
+            c.insert(std::string(eye) + "Z", Channel(FLOAT));
+            c.insert(std::string(eye) + "matte", Channel(HALF));
+        }
+        rgb("shared.");
+        c.insert("hold.A", Channel(FLOAT));
+        for (const char *name : { "id.m", "id.R", "id.G", "id.B" })
+            c.insert(name, Channel(UINT));
+        addMultiView(h, { "left", "right" });
+        break;
+    case EXR_TOOL_CROWD:
+        for (const char *view : { "", "v1.", "v2.", "v3.", "v4.", "v5." }) {
+            rgb(view);
+            c.insert(std::string(view) + "Z", Channel(FLOAT));
+        }
+        addMultiView(h, { "v0", "v1", "v2", "v3", "v4", "v5" });
+        break;
+    case EXR_TOOL_SMALL:
+        rgb("");
+        c.insert("small", Channel(HALF, 2, 2));
+        break;
+    case EXR_TOOL_YCGLOW:
+        for (const char *prefix : { "", "glow." }) {
+            c.insert(std::string(prefix) + "Y", Channel(t));
+            c.insert(std::string(prefix) + "RY", Channel(t, 2, 2, true));
+            c.insert(std::string(prefix) + "BY", Channel(t, 2, 2, true));
+        }
         break;
     case EXR_TOOL_UINT:
         c.insert("R", Channel(UINT));
@@ -292,6 +324,15 @@ void make_multipart(const exr_tool_spec *s, Out &out)
         deep.setType(DEEPSCANLINE);
         h.push_back(deep);
     }
+    if (s->aov) {
+        Header aov(Box2i(V2i(0, 0), V2i(99, 79)), h[0].dataWindow());
+        for (const char *name : { "R", "G", "B", "mask.A" })
+            aov.channels().insert(name, Channel(HALF));
+        aov.compression() = ZIPS_COMPRESSION;
+        aov.setName("emission");
+        aov.setType(SCANLINEIMAGE);
+        h.push_back(aov);
+    }
     for (Header &i : h) // attributes that all parts share must agree
         i.pixelAspectRatio() = 1.5f;
     for (size_t i = 2; i < h.size(); i++) {
@@ -312,6 +353,10 @@ void make_multipart(const exr_tool_spec *s, Out &out)
     write_lines(part, part.header(), s->specials);
     if (s->parts > 2)
         write_deep(file, 3, file.header(3));
+    if (s->aov) {
+        OutputPart aov(file, int(h.size()) - 1);
+        write_lines(aov, aov.header(), s->specials);
+    }
 }
 
 void make_file(const exr_tool_spec *s, Out &out)
@@ -528,11 +573,44 @@ int exr_tool_channel(const uint8_t *bytes, size_t size, unsigned part, const cha
     });
 }
 
-int exr_tool_rgb(const uint8_t *bytes, size_t size, float **rgb, unsigned *w, unsigned *h)
+int exr_tool_headers(const uint8_t *a, size_t a_size, const uint8_t *b, size_t b_size, char *text,
+                     size_t text_size)
+{
+    return guarded([&] {
+        In sa(a, a_size), sb(b, b_size);
+        MultiPartInputFile fa(sa, 0, false), fb(sb, 0, false);
+        Text t = { text, text_size };
+        text[0] = 0;
+        if (fa.parts() != fb.parts())
+            throw std::runtime_error("another number of parts");
+        for (int p = 0; p < fa.parts(); p++) {
+            compare_headers(fa.header(p), fb.header(p), p, t);
+            if (!fb.partComplete(p))
+                throw std::runtime_error("a part is not complete");
+        }
+        return 0;
+    });
+}
+
+int exr_tool_window(const uint8_t *bytes, size_t size, unsigned part, int *min_x, int *min_y, int *w, int *h)
 {
     return guarded([&] {
         In s(bytes, size);
-        RgbaInputFile f(s, 0);
+        MultiPartInputFile f(s, 0, false);
+        const Box2i win = f.header(int(part)).dataWindow();
+        *min_x = win.min.x;
+        *min_y = win.min.y;
+        *w = win.max.x - win.min.x + 1;
+        *h = win.max.y - win.min.y + 1;
+        return 0;
+    });
+}
+
+int exr_tool_rgb(const uint8_t *bytes, size_t size, const char *layer, float **rgb, unsigned *w, unsigned *h)
+{
+    return guarded([&] {
+        In s(bytes, size);
+        RgbaInputFile f(s, layer, 0);
         const Box2i win = f.dataWindow();
         *w = unsigned(win.max.x - win.min.x + 1);
         *h = unsigned(win.max.y - win.min.y + 1);

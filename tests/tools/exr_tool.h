@@ -20,6 +20,11 @@ enum exr_tool_layout {
     EXR_TOOL_STEREO, /* multiView left right: A B G R, right.A/B/G/R, diffuse.right.B/G/R */
     EXR_TOOL_G,      /* G alone */
     EXR_TOOL_UINT,   /* R G B, all UINT */
+    EXR_TOOL_EYES,   /* multiView left right: R G B Z matte, right. the same; glow. R G B, glow.right. R G B;
+                        shared. R G B, hold.A; id.m(uint), id. R G B (uint) */
+    EXR_TOOL_CROWD,  /* multiView v0 .. v5, each R G B Z */
+    EXR_TOOL_SMALL,  /* R G B, small (2x2), scanline only */
+    EXR_TOOL_YCGLOW, /* as EXR_TOOL_YC, and glow. Y RY BY likewise */
 };
 
 struct exr_tool_spec {
@@ -32,6 +37,8 @@ struct exr_tool_spec {
     int min_x, min_y, width, height;
     int parts;              /* 1: single-part file; 2: stereo parts + depth part; 3: and a deep part */
     int specials;           /* NaN, Inf, -0, negatives, subnormals among the samples */
+    int aov;                /* 1, of files of several parts: one more part "emission" of the same window and no view,
+                               scanlines, ZIPS: R G B and mask.A */
     float dwa_level;        /* 0: no attribute */
 };
 
@@ -54,8 +61,14 @@ int exr_tool_compare(const uint8_t *a, size_t a_size, const uint8_t *b, size_t b
 int exr_tool_channel(const uint8_t *bytes, size_t size, unsigned part, const char *channel,
                      unsigned level_x, unsigned level_y, uint32_t **bits, unsigned *w, unsigned *h);
 
-/* The library's own RGB of a file (also of luminance-chroma). *rgb: malloc'd, 3 * w * h. */
-int exr_tool_rgb(const uint8_t *bytes, size_t size, float **rgb, unsigned *w, unsigned *h);
+/* The differences of all headers alone, as exr_tool_compare tells them. 0 or -1. */
+int exr_tool_headers(const uint8_t *a, size_t a_size, const uint8_t *b, size_t b_size, char *text,
+                     size_t text_size);
+/* A part's data window. 0 or -1. */
+int exr_tool_window(const uint8_t *bytes, size_t size, unsigned part, int *min_x, int *min_y, int *w, int *h);
+
+/* The library's own RGB of a layer ("": unprefixed), also of luminance-chroma. *rgb: malloc'd, 3 * w * h. */
+int exr_tool_rgb(const uint8_t *bytes, size_t size, const char *layer, float **rgb, unsigned *w, unsigned *h);
 
 #ifdef __cplusplus
 }
