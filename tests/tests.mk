@@ -40,3 +40,4 @@ check-built:
 	@BUILD=$(BUILD) bash tests/run.sh
 
 include tests/bench/bench.mk
+include tests/report/report.mk
