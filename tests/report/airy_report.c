@@ -39,7 +39,7 @@ static void sheets_open(struct report *r)
     r->shimmer = sheet(r, "shimmer", "method,setting,x_px,peak,energy");
     r->size = sheet(r, "size", "device,side,ms,device_ms,ns_per_pixel");
     r->tiles = sheet(r, "tiles", "device,pattern,percent,tiles,tiles_bright,ms,skipped");
-    r->frames = sheet(r, "frames", "file,target,width,height,tiles,tiles_bright,skipped_percent,chunks,chunks_copied,"
+    r->frames = sheet(r, "frames", "file,target,width,height,tiles,tiles_bright,skipped_percent,max_bright,chunks,chunks_copied,"
                                    "untouched,skipped");
     r->machine = sheet(r, "machine", "what,value");
     r->notes = sheet(r, "notes", "section,note");

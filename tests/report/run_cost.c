@@ -277,8 +277,8 @@ static void film_write(struct film *m, const char *name)
         const struct bloom_reply *y = &m->reply[i];
         // A target that is untouched has done no work, whatever its tiles are.
         double done = y->untouched || !y->tiles ? 0 : 100. * y->tiles_bright / y->tiles;
-        sheet_row(m->r->frames, "ssuuuuduuss", name, t->name, t->width, t->height, y->tiles, y->tiles_bright, 100 - done,
-                  n.chunks, n.chunks_copied, y->untouched ? "yes" : "no", y->skipped);
+        sheet_row(m->r->frames, "ssuuuudduuss", name, t->name, t->width, t->height, y->tiles, y->tiles_bright, 100 - done,
+                  y->max_bright, n.chunks, n.chunks_copied, y->untouched ? "yes" : "no", y->skipped);
     }
 }
 
