@@ -78,13 +78,19 @@ static void butterfly_4(struct cell *restrict to, long step, const struct cell *
         turn(&to[i * step], re[i], im[i], c[i], s[i]);
 }
 
+/* cos and -sin of 2 pi k / r for r = 2, 3, 5. */
+static const float ROOT_RE[6][5] = { [2] = { 1, -1 }, [3] = { 1, -.5f, -.5f },
+                                     [5] = { 1, .309016994f, -.809016994f, -.809016994f, .309016994f } };
+static const float ROOT_IM[6][5] = { [3] = { 0, -.866025404f, .866025404f },
+                                     [5] = { 0, -.951056516f, -.587785252f, .587785252f, .951056516f } };
+
 static void butterfly(unsigned r, struct cell *restrict to, long step, const struct cell *restrict a, long gap,
                       const float c[5], const float s[5])
 {
     for (unsigned i = 0; i < r; i++) {
         float re[LANES] = { 0 }, im[LANES] = { 0 };
         for (unsigned j = 0; j < r; j++) {
-            float wc = (float)cos(2 * M_PI * (i * j % r) / r), ws = (float)-sin(2 * M_PI * (i * j % r) / r);
+            float wc = ROOT_RE[r][i * j % r], ws = ROOT_IM[r][i * j % r];
             const struct cell *v = &a[j * gap];
             for (int k = 0; k < LANES; k++) {
                 re[k] += v->re[k] * wc - v->im[k] * ws;
@@ -240,11 +246,13 @@ static void rows_there(struct convolution *v, unsigned pair, long y, long rows, 
 {
     load_rows(v, pair, y, rows, v->line[member]);
     const struct cell *f = fft_run(&v->x, v->line[member], v->other[member]);
-    for (long x = 0; x < v->x.n; x++)
+    for (long b = 0; b < v->blocks; b++)
         for (long k = 0; k < rows; k++) {
-            struct cell *to = field_at(v, pair, x / LANES, y + k);
-            to->re[x % LANES] = f[x].re[k];
-            to->im[x % LANES] = f[x].im[k];
+            struct cell *to = field_at(v, pair, b, y + k);
+            for (long i = 0; i < LANES && b * LANES + i < v->x.n; i++) {
+                to->re[i] = f[b * LANES + i].re[k];
+                to->im[i] = f[b * LANES + i].im[k];
+            }
         }
 }
 
@@ -279,12 +287,14 @@ static void columns(struct convolution *v, unsigned pair, long block, unsigned m
 static void rows_back(struct convolution *v, unsigned pair, long y, long rows, unsigned member)
 {
     struct cell *line = v->line[member];
-    for (long x = 0; x < v->x.n; x++)
+    for (long b = 0; b < v->blocks; b++)
         for (long k = 0; k < rows; k++) {
             // The parts change places on the way in, for the way back.
-            const struct cell *from = field_at(v, pair, x / LANES, y + k);
-            line[x].re[k] = from->im[x % LANES];
-            line[x].im[k] = from->re[x % LANES];
+            const struct cell *from = field_at(v, pair, b, y + k);
+            for (long i = 0; i < LANES && b * LANES + i < v->x.n; i++) {
+                line[b * LANES + i].re[k] = from->im[i];
+                line[b * LANES + i].im[k] = from->re[i];
+            }
         }
     const struct cell *f = fft_run(&v->x, line, v->other[member]);
     for (unsigned part = 0; part < 2 && 2 * pair + part < v->job.channels; part++)

@@ -34,8 +34,23 @@ static bool same_plot(const struct csv *c, unsigned a, unsigned b)
     return !strcmp(csv_cell(c, a, "size"), csv_cell(c, b, "size")) && !strcmp(csv_cell(c, a, "psf"), csv_cell(c, b, "psf"));
 }
 
+// The engine's curves say their device only where there are several.
+static bool several_devices(const struct csv *c)
+{
+    const char *seen = NULL;
+    for (unsigned i = 0; i < c->rows; i++) {
+        if (!*csv_cell(c, i, "rule"))
+            continue;
+        if (seen && strcmp(seen, csv_cell(c, i, "device")))
+            return true;
+        seen = csv_cell(c, i, "device");
+    }
+    return false;
+}
+
 static void speed_plot(FILE *to, const struct csv *c, unsigned first)
 {
+    bool several = several_devices(c);
     struct plot p;
     char name[160], tip[400];
     plot_init(&p, "speed", true, true, "worst error of a lone point, share of its peak (left is better)",
@@ -46,7 +61,7 @@ static void speed_plot(FILE *to, const struct csv *c, unsigned first)
             continue;
         const char *device = csv_cell(c, i, "device"), *method = csv_cell(c, i, "method");
         bool engine = *csv_cell(c, i, "rule");
-        snprintf(name, sizeof name, engine ? "%s, %.40s" : "%s", method, device);
+        snprintf(name, sizeof name, engine && several ? "%s, %.24s" : "%s", method, device);
         snprintf(tip, sizeof tip, "%s, %s: %s ms, error %s", method, csv_cell(c, i, "setting"), csv_cell(c, i, "ms"),
                  csv_cell(c, i, "error"));
         plot_point(&p, plot_series(&p, name, engine), csv_number(c, i, "error"), csv_number(c, i, "ms"), tip);
@@ -62,7 +77,8 @@ void section_speed(FILE *to, const char *dir)
             "Bright pass, blur and sum of one RGB frame, in turns on two threads. Error: the worst difference of any pixel "
             "from the exact sampled Gaussians over their peak, for a lone bright pixel at several sub-pixel phases. J5: five "
             "Gaussians an octave apart. Half: with planes of half on both sides, whose own rounding (2.4e-4 at the peak) is "
-            "counted as error. Decoding, and the scan of tiles that is part of it, are outside of every figure here.");
+            "counted as error. The field's methods are written in C here, with bilinear samples turned into taps on whole pixels; "
+            "each has its free number set so that the variance is right. Decoding, and the scan of tiles that is part of it, are outside of every figure here.");
     notes(to, dir, "speed");
     if (!csv_read(&c, dir, "speed"))
         return;

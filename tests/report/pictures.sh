@@ -30,7 +30,7 @@ show() { # name, file, options...
         printf '"pictures","%s: %s"\n' "$name" "$(tail -1 "$work/err" | tr '"' "'")" >>"$dir/notes.csv"
         return
     fi
-    "$BUILD/demo/tonemap" -side "$work/in.exr" "$work/out.exr" "$dir/pictures/$file.png" "$width" || exit 1
+    "$BUILD/demo/tonemap" -side "$work/in.exr" "$work/out.exr" "$dir/pictures/$file.png" $((width * 3 / 4)) || exit 1
     printf '"%s","pictures/%s.png"\n' "$name" "$file" >>"$dir/pictures.csv"
     shown=$((shown + 1))
 }

@@ -119,7 +119,8 @@ void report_size(struct report *r)
         fflush(r->size);
     }
     if (!r->large)
-        report_note(r, "size", "beyond %u x %u: only with AIRY_REPORT_LARGE=1", last, last);
+        report_note(r, "size", "beyond %u x %u: a longer report has more, and AIRY_REPORT_LARGE=1 has 16384 x 16384", last,
+                    last);
     frame_finish(&base);
 }
 
