@@ -52,3 +52,4 @@ soak-property: $(T)/test_property
 	AIRY_SEED=$(SOAK_SEED) AIRY_SCENES=10000 $(T)/test_property
 
 include tests/bench/bench.mk
+include tests/report/report.mk

@@ -8,7 +8,6 @@
  */
 #include <errno.h>
 #include <getopt.h>
-#include <sched.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,44 +29,12 @@ static const char usage[] =
     "      --device WHICH  as airyd's\n"
     "      --csv FILE      all figures, one a line\n";
 
-static unsigned pin_to_two(void)
-{
-    cpu_set_t have, use;
-    CPU_ZERO(&use);
-    if (sched_getaffinity(0, sizeof have, &have))
-        die("no CPU affinity");
-    for (int i = 0; i < CPU_SETSIZE && CPU_COUNT(&use) < TEAM; i++)
-        if (CPU_ISSET(i, &have))
-            CPU_SET(i, &use);
-    if (sched_setaffinity(0, sizeof use, &use))
-        die("the CPU affinity cannot be set");
-    setenv("LP_NUM_THREADS", "2", 0);
-    return (unsigned)CPU_COUNT(&use);
-}
-
-static void cpu_model(char *out, size_t size)
-{
-    char line[256];
-    FILE *file = fopen("/proc/cpuinfo", "re");
-    snprintf(out, size, "unknown CPU");
-    while (file && fgets(line, sizeof line, file)) {
-        char *colon = strchr(line, ':');
-        if (strncmp(line, "model name", 10) || !colon)
-            continue;
-        colon[strcspn(colon, "\n")] = 0;
-        snprintf(out, size, "%s", colon + 2);
-        break;
-    }
-    if (file)
-        fclose(file);
-}
-
 static void machine(const struct bench *b, unsigned used)
 {
     char model[200], line[1400];
     struct utsname u;
     uname(&u);
-    cpu_model(model, sizeof model);
+    bench_cpu(model, sizeof model);
     const struct bloom_device_info *d = bloom_device(b->engine);
     snprintf(line, sizeof line,
              "%s, %u of %ld cores used; device %s; %s; airyd %s; compiler %s; %s %s, %u rounds", model,
@@ -141,7 +108,7 @@ int main(int argc, char **argv)
     if (access(b.airyd, X_OK))
         die("%s: %s", b.airyd, strerror(errno)); // now, and not after the engine's turn
     csv_open(csv);
-    unsigned used = pin_to_two();
+    unsigned used = bench_pin();
     double t0 = now_ms();
     b.team = team_create();
     const struct bloom_options options = { .device = b.device, .slots = 2 };

@@ -21,6 +21,9 @@ void die(const char *format, ...) __attribute__((format(printf, 1, 2), noreturn)
 double now_ms(void);
 /* calloc that does not fail. */
 void *take(size_t count, size_t bytes);
+/* Keeps this process and its children to two cores, and the CPU device to two threads; returns how many there are. */
+unsigned bench_pin(void);
+void bench_cpu(char *out, size_t size); /* the model's name */
 
 /* ---- two threads ------------------------------------------------------------------------------- */
 

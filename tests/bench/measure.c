@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // measure.c - rounds, medians, tables, CSV: see bench.h.
 #include <errno.h>
+#include <sched.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -34,6 +35,40 @@ void *take(size_t count, size_t bytes)
     if (!p)
         die("no memory for %zu times %zu bytes", count, bytes);
     return p;
+}
+
+/* ---- the machine -------------------------------------------------------------------------------- */
+
+unsigned bench_pin(void)
+{
+    cpu_set_t have, use;
+    CPU_ZERO(&use);
+    if (sched_getaffinity(0, sizeof have, &have))
+        die("no CPU affinity");
+    for (int i = 0; i < CPU_SETSIZE && CPU_COUNT(&use) < TEAM; i++)
+        if (CPU_ISSET(i, &have))
+            CPU_SET(i, &use);
+    if (sched_setaffinity(0, sizeof use, &use))
+        die("the CPU affinity cannot be set");
+    setenv("LP_NUM_THREADS", "2", 0);
+    return (unsigned)CPU_COUNT(&use);
+}
+
+void bench_cpu(char *out, size_t size)
+{
+    char line[256];
+    FILE *file = fopen("/proc/cpuinfo", "re");
+    snprintf(out, size, "unknown CPU");
+    while (file && fgets(line, sizeof line, file)) {
+        char *colon = strchr(line, ':');
+        if (strncmp(line, "model name", 10) || !colon)
+            continue;
+        colon[strcspn(colon, "\n")] = 0;
+        snprintf(out, size, "%s", colon + 2);
+        break;
+    }
+    if (file)
+        fclose(file);
 }
 
 /* ---- rounds -------------------------------------------------------------------------------------- */
