@@ -608,3 +608,22 @@ unsigned bloom_pipelines(const struct bloom *b, unsigned *possible)
 
 void bloom_list_devices(void (*print)(const char *line)) { vk_list(print); }
 struct bloom_slot *bloom_slot(struct bloom *b, unsigned i) { return i < b->slots ? &b->slot[i] : NULL; }
+
+/* TEMPORARY (room service, issue 3): the least that bloom_plan can be; the engine's own replaces it. */
+int bloom_plan(struct bloom *b, const struct bloom_geometry *geometry, const struct bloom_request *request,
+               struct bloom_reply *reply, struct fault *f)
+{
+    (void)b;
+    struct plan p;
+    struct bloom_reply r = { 0 };
+    if (plan_make(&p, request->params, geometry->width, geometry->height, request->pixel_aspect, f) < 0)
+        return -1;
+    plan_print(&p, r.plan, sizeof(r.plan));
+    snprintf(r.rule, sizeof(r.rule), "%s", p.rule);
+    snprintf(r.storage, sizeof(r.storage), "float");
+    r.levels = p.levels;
+    r.error_bound = p.filter_bound + p.weight_sum * p.rounding_bound;
+    r.exposure = request->params->exposure;
+    *reply = r;
+    return 0;
+}

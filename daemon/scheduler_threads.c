@@ -59,6 +59,8 @@ static int device_task(struct sched *s, struct job *j, struct fault *f)
     struct sched_slot *slot = j->slot;
     if (!s->bloom)
         return fault_set(f, FAULT_DEVICE_LOST, "", "the Vulkan device was lost and could not be opened again");
+    if (j->stage == JOB_PLAN)
+        return job_plan(j, s->bloom, f);
     if (j->stage == JOB_BLOOM)
         return job_bloom(j, s->bloom, slot->engine, f);
     return bloom_slot_prepare(s->bloom, slot->engine, slot->count, slot->geometry, slot->in, slot->out, f);
@@ -105,7 +107,8 @@ static void *device_main(void *arg)
         struct fault f = { .code = FAULT_NONE };
         int rc = device_task(s, j, &f);
         pthread_mutex_lock(&s->lock);
-        if (rc < 0 && f.code == FAULT_DEVICE_LOST && s->bloom) {
+        // A plan touches no device; one that says so all the same has no slot to start again from.
+        if (rc < 0 && f.code == FAULT_DEVICE_LOST && s->bloom && j->slot) {
             j->running--;
             device_replace(s, &f);
             continue;

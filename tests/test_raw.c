@@ -77,11 +77,11 @@ static void round_trip(struct raw_layout *l, uint64_t bytes)
     for (uint64_t i = 0; i < bytes; i++)
         in[i] = (uint8_t)random_below(256);
     memset(out, 0x5a, sizeof out);
-    assert_int_equal(planes_alloc(&planes, l->width, l->height, l->planes, l->type), 0);
+    assert_int_equal(planes_alloc(&planes, l->width, l->height, l->target[0].planes, l->type), 0);
     assert_int_equal(frame_scan_init(&scan, l->width, l->height), 0);
     l->band = 1 + random_below(l->height); // bands of any size
     for (unsigned t = raw_tasks(l); t-- > 0;)
-        raw_decode(l, in, &planes, &scan, luma, t);
+        raw_decode(l, &l->target[0], in, &planes, &scan, luma, t);
     for (unsigned t = raw_tasks(l); t-- > 0;)
         assert_int_equal(raw_encode(l, in, &planes, out, t), 0);
     uint64_t samples = 0;
