@@ -100,6 +100,7 @@ static void script_plan(struct peer *p)
     uint64_t id = m.header.id;
     Airy__Bloom *b = peer_body(p, &m, &airy__bloom__descriptor);
     must(b->plan_only && !b->output);
+    peer_next(p, WIRE_DATA);
     Airy__Payload none = AIRY__PAYLOAD__INIT;
     Airy__Target target = AIRY__TARGET__INIT, *targets[] = { &target };
     Airy__Result r = AIRY__RESULT__INIT;
