@@ -74,7 +74,8 @@ static bool luma_of(const float c[8], float luma[3])
 
 static void set_luma(struct exr *x, const struct exr_part *p, struct exr_target *t)
 {
-    memcpy(t->luma, frame_rec709, sizeof(t->luma));
+    static const float rec709[8] = { 0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f };
+    luma_of(rec709, t->luma);
     float luma[3];
     if (!p->has_chromaticities)
         return;

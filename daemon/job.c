@@ -92,7 +92,7 @@ static void stamp(struct job *j)
     char hex[ASSET_DIGEST_MAX], params[JOB_STAMP_MAX - 128];
     asset_digest(hex, j->input.data, j->input.size);
     int n = params_print(&j->params, params, sizeof params);
-    assert(n >= 0 && (size_t)n < sizeof params); // nine texts of PARAMS_TEXT_MAX, and the numbers
+    assert(n >= 0 && (size_t)n < sizeof params);
     (void)n;
     snprintf(j->stamp, sizeof j->stamp, "airyd %s; params: %s; input xxh3:%s", AIRY_VERSION, params, hex);
     j->exr_options.stamp = j->stamp;

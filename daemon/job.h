@@ -55,7 +55,7 @@ enum job_stage {
 enum job_kind { JOB_BLOOMS, JOB_PLANS, JOB_KEEPS };
 enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE };
 
-enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = 8192 };
+enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = 2048 };
 
 struct job_limits {
     uint64_t max_frame_bytes; /* a payload, either way */
