@@ -151,6 +151,8 @@ struct bloom {
     unsigned octaves;
     unsigned slots;
     struct bloom_slot slot[8];
+    struct bloom_slot warm_slot; /* for first draws: the others' planes are in use */
+    unsigned warmed;             /* steps of bloom_warm_next that are done */
 };
 
 /* Finds or builds the pipeline of a shader variant. NULL and *f on failure. */

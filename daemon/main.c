@@ -61,8 +61,9 @@ static const char usage[] =
     "                             follow (default 256M)\n"
     "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
     "      --lifetime-fd N        stop when this inherited pipe's other end is closed\n"
-    "      --warm WORD            draw with all pipelines before the first request, or with the common ones\n"
-    "                             (default all; common with --lifetime-fd, where somebody waits)\n"
+    "      --warm WORD            draw with all pipelines before the first request, with the common ones\n"
+    "                             only, or then with the others when idle (default idle; common with\n"
+    "                             --lifetime-fd, where somebody waits)\n"
     "      --validate             Vulkan validation; any message makes the exit status 4\n"
     "      --verbose              a line for each connection and error\n"
     "      --help, --version\n";
@@ -145,8 +146,8 @@ static void take_option(struct options *o, int id, const char *arg)
         }
         break;
     case OPT_WARM:
-        if (strcmp(arg, "all") && strcmp(arg, "common")) {
-            fprintf(stderr, "airyd: --warm: \"%s\"; expected all or common\n", arg);
+        if (strcmp(arg, "all") && strcmp(arg, "common") && strcmp(arg, "idle")) {
+            fprintf(stderr, "airyd: --warm: \"%s\"; expected all, common or idle\n", arg);
             exit(EXIT_USAGE);
         }
         o->warm = arg;
@@ -209,6 +210,7 @@ static unsigned cpus(void)
 
 static void configure(struct server_config *c, const struct options *o)
 {
+    const char *warm = o->warm ? o->warm : o->lifetime_fd < 0 ? "idle" : "common";
     uint64_t memory = memory_bytes(), gib = UINT64_C(1) << 30;
     uint32_t timeout_ms = (uint32_t)o->timeout_s * 1000;
     uint64_t frame = o->max_frame_bytes ? o->max_frame_bytes : least(2 * gib, memory / 4);
@@ -216,7 +218,8 @@ static void configure(struct server_config *c, const struct options *o)
         .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
                    .slots = (unsigned)o->slots,
                    .device = { .device = o->device, .validate = o->validate,
-                               .warm_all = o->warm ? !strcmp(o->warm, "all") : o->lifetime_fd < 0, .log = say },
+                               .warm_all = !strcmp(warm, "all"), .log = say },
+                   .warm_idle = !strcmp(warm, "idle"),
                    .log = say },
         .limits = { .max_frame_bytes = frame,
                     .exr = { .max_width = 16384,

@@ -429,6 +429,7 @@ int sched_create(struct sched **out, const struct sched_config *config, struct f
         TAILQ_INIT(&s->stage[i]);
     s->slots = config->slots;
     s->device = config->device;
+    s->warm_idle = config->warm_idle;
     s->device.slots = config->slots;
     s->log = config->log;
     s->event_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);

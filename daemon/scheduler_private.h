@@ -45,6 +45,7 @@ struct sched {
 
     struct bloom *bloom; /* the device thread's, once it runs */
     struct bloom_options device;
+    bool warm_idle, warming; /* warming: pipelines are left that have not drawn */
     struct bloom_device_info device_info;
     unsigned validation_messages;
     void (*log)(const char *line);

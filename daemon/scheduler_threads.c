@@ -47,8 +47,10 @@ static int open_device(struct sched *s, struct fault *f)
 {
     if (bloom_create(&s->bloom, &s->device, f) < 0) {
         s->bloom = NULL;
+        s->warming = false;
         return -1;
     }
+    s->warming = s->warm_idle;
     for (unsigned i = 0; i < s->slots; i++)
         s->slot[i].engine = bloom_slot(s->bloom, i);
     return 0;
@@ -93,12 +95,35 @@ static void device_replace(struct sched *s, const struct fault *f)
     pthread_cond_broadcast(&s->pool_wake);
 }
 
+// Under the lock; nobody waits for the device. A step is short, so that who comes meanwhile hardly waits.
+static void warm_step(struct sched *s)
+{
+    struct fault f;
+    pthread_mutex_unlock(&s->lock);
+    bool more = bloom_warm_next(s->bloom, &f);
+    pthread_mutex_lock(&s->lock);
+    s->warming = more;
+    if (f.code == FAULT_DEVICE_LOST) {
+        device_replace(s, &f);
+    } else if (f.code != FAULT_NONE) {
+        char line[400];
+        snprintf(line, sizeof line, "drawing with all pipelines: %s; those left draw when they are asked for", f.text);
+        say(s, line);
+    } else if (!more) {
+        say(s, "all pipelines have drawn");
+    }
+}
+
 static void *device_main(void *arg)
 {
     struct sched *s = arg;
     pthread_mutex_lock(&s->lock);
     while (!s->stopping) {
         struct job *j = sched_device_next(s);
+        if (!j && s->warming) {
+            warm_step(s);
+            continue;
+        }
         if (!j) {
             pthread_cond_wait(&s->device_wake, &s->lock);
             continue;

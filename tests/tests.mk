@@ -12,13 +12,15 @@ $(T)/%.o $(BUILD)/tests/%.o: CPPFLAGS += -Itests -Itests/reference -Itests/tools
 
 # What a test needs besides the archives.
 $(T)/test_engine $(T)/test_reference: $(T)/reference/reference.o
-$(T)/test_server $(T)/test_server_frames $(T)/test_server_life $(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_exr $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
 
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
+
+$(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 
 $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(call say,LD $@)
