@@ -37,7 +37,7 @@ LIBS_PROTO := -lprotobuf-c
 ROOM_proto := $(wildcard proto/*.c)
 ROOM_exr := $(wildcard daemon/exr*.c) daemon/frame.c
 ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c) daemon/plan.c daemon/psf.c
-ROOM_params := daemon/params.c
+ROOM_params := $(wildcard daemon/params*.c)
 ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
 ROOM_client := $(wildcard client/lib*.c)
 

@@ -21,6 +21,7 @@ struct bloom_slot;
 struct bloom_options {
     const char *device;  /* NULL or "": best; "cpu", "gpu", an index, or part of a name */
     unsigned slots;      /* frames that can be in the pipeline at once, 1..8 */
+    unsigned threads;    /* for what the host does of a frame's bloom (FFT); 0: 2 */
     bool validate;       /* Vulkan validation with synchronisation validation; any message is counted */
     bool warm_all;       /* draw with every pipeline at start, not only with those of common requests: some
                             20 s when the driver has none of them in its cache, 2 s when it has */
@@ -45,7 +46,8 @@ unsigned bloom_validation_messages(const struct bloom *b);
  * its cache), beside the slots. True while there is more; false when all have drawn, or with *f (code not FAULT_NONE) when one
  * failed. On the device thread. */
 bool bloom_warm_next(struct bloom *b, struct fault *f);
-/* Pipelines that have been made (and so have drawn), and how many there could be. */
+/* Pipelines that have been made (and so have drawn), and how many there are for plain requests; those that few
+ * ask for are made when they are first needed. */
 unsigned bloom_pipelines(const struct bloom *b, unsigned *possible);
 /* Prints the devices that --device could name, one a line. */
 void bloom_list_devices(void (*print)(const char *line));
@@ -86,10 +88,11 @@ struct bloom_image {
 struct bloom_request {
     const struct params *params;
     const struct frame_scan *scan; /* of the target's input planes */
-    /* Other targets of the slot, of the same width and height, -1: none. */
+    /* Other targets of the slot, of the same width and height; -1 or the target itself: none. */
     int source;                    /* its light glows; with the scan of its planes */
     const struct frame_scan *source_scan;
     int matte;                     /* 1 channel */
+    const struct frame_scan *matte_scan;
     int depth;                     /* 1 channel, FLOAT: for the sun of look mip-chain */
     const struct bloom_image *dirt, *kernel; /* NULL: none */
     float luma[3];

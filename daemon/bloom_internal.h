@@ -24,12 +24,16 @@ struct pass_uniforms {
     float bright[4];
     float luma[4];
     float weight[4];
+    float limit[4];
+    float dirt[4];
+    int32_t window[4];
     float tap[44];
 };
-static_assert(sizeof(struct pass_uniforms) == 7 * 16 + 11 * 16, "std140 twin of Pass");
+static_assert(sizeof(struct pass_uniforms) == 10 * 16 + 11 * 16, "std140 twin of Pass");
 static_assert(PSF_TAPS_MAX + 1 <= 44, "taps of a pass");
 
-enum { UNIFORM_STRIDE = 512, PASSES_MAX = 128, PIPELINES_MAX = 128 };
+enum { EXCHANGE_USAGE = VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT };
+enum { UNIFORM_STRIDE = 512, PASSES_MAX = 512, PIPELINES_MAX = 512 };
 
 /* A level's logical size; images may be larger. */
 struct level {
@@ -45,7 +49,7 @@ static inline struct level level_of(uint32_t width, uint32_t height)
 
 /* What decides the images; equal shapes share them. */
 struct targets_shape {
-    uint32_t width, height;
+    uint32_t width, height; /* of the canvas: the planes, and with edge=fill what lies around them */
     unsigned channels;
     unsigned octaves;   /* levels 1 .. octaves exist */
     bool full_size;     /* E is kept at full size */
@@ -64,13 +68,15 @@ struct targets {
     struct vk_arena memory;
 };
 
+bool targets_same(const struct targets *t, const struct targets_shape *s);
 int targets_prepare(struct vk *v, struct targets *t, const struct targets_shape *shape, struct fault *f);
 void targets_destroy(struct vk *v, struct targets *t);
 
 struct slot_target {
     struct bloom_geometry geometry;
+    uint32_t width, height;        /* of the planes: the geometry's, grown on each side */
     struct vk_image in[VK_PLANES]; /* geometry.channels of them */
-    struct vk_image out[LEVEL_PHASES];
+    struct vk_image out[BLOOM_OUTPUTS_MAX][LEVEL_PHASES];
     VkDeviceSize staging_in, staging_out; /* offsets, when staged */
     uint32_t texels;               /* of a row */
     uint32_t groups;               /* of 4 rows, of a channel's block of out */
@@ -94,25 +100,32 @@ struct ledger_region { /* cells of one level, all its channels */
     VkDeviceSize offset;       /* in the read-back buffer: [channel][phase][group][texel] */
 };
 
-enum { LEDGER_REGIONS_MAX = 4 * (PSF_LEVELS_MAX + 1) + 1 };
+/* Sums of E made for their own sake: before firefly and clamp, before clamp. */
+enum { LEDGER_TOTALS = 2, LEDGER_REGIONS_MAX = 4 * (PSF_LEVELS_MAX + 1) + 1 + LEDGER_TOTALS };
 
 struct ledger {
     unsigned count;
     struct ledger_region region[LEDGER_REGIONS_MAX];
-    unsigned total_region; /* covers all of the coarsest level */
+    unsigned total_region; /* covers all of the coarsest level; after it LEDGER_TOTALS of the same shape */
     VkDeviceSize bytes;
     /* Per Gaussian and axis: the share of a cell's light that stays inside, [cell + LEVEL_MARGIN]. */
     double *inside_x[PARAMS_GAUSSIANS_MAX], *inside_y[PARAMS_GAUSSIANS_MAX];
     struct vk_buffer buffer;
 };
 
-/* Works out the regions for a plan on these levels. 0, or -1 and *f. */
-int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, struct fault *f);
+/* Works out the regions for a plan on these levels; pad: pixels of the canvas around the planes. 0, or -1 and *f. */
+int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, uint32_t pad, struct fault *f);
 void ledger_clear(struct ledger *l); /* keeps the buffer */
 int ledger_record(struct vk_commands *c, struct ledger *l, struct targets *t, struct fault *f);
-/* E's sum and the sum of intensity * B that falls outside the data window. */
-void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, double intensity,
-                double *bright, double *lost);
+/* Only the coarsest level, as E is now, into the i-th of the other totals. */
+int ledger_record_total(struct vk_commands *c, struct ledger *l, struct targets *t, unsigned i, struct fault *f);
+struct ledger_sums {
+    double bright;  /* E on the canvas */
+    double spread;  /* weights * E: what B would be on a canvas without end */
+    double outside; /* of it, outside the planes */
+    double total[LEDGER_TOTALS];
+};
+void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out);
 
 /* ---- the engine ------------------------------------------------------------------------------------ */
 
@@ -125,11 +138,19 @@ struct named_pipeline {
 enum { PLANS_MAX = 8 };
 struct planned {
     uint64_t asked; /* when last; 0: empty */
-    struct psf_spec spec;
-    double tolerance, aspect;
-    uint32_t width, height;
+    char psf[PARAMS_TEXT_MAX];
+    double near_gain, far_gain, sensor_mm, tolerance, budget_ms;
+    struct plan_facts facts;
     struct plan plan;
 };
+
+/* What a frame costs on this device, measured at its start: fixed + pixels * channels * (base + per_mac * cost of the plan). */
+struct cost_model {
+    double fixed_ms, base_ns, mac_ns;
+};
+
+struct convolver;
+struct look_targets;
 
 struct bloom {
     struct vk vk;
@@ -143,17 +164,89 @@ struct bloom {
     const char *pass_name[PASSES_MAX];
     struct targets targets;
     struct ledger ledger;
+    struct vk_buffer counts;          /* exposure=auto's histogram */
+    struct vk_image blank;            /* 1 x 1, for a binding that nothing reads */
+    struct vk_image dirt;
+    struct vk_memory blank_memory, dirt_memory;
+    char dirt_digest[33];             /* of what the dirt image holds; "": none */
+    struct vk_buffer exchange;        /* pixels to and from the host: dirt, FFT */
+    struct convolver *convolver;      /* of the kernel that was asked for last */
+    char convolver_key[PARAMS_TEXT_MAX + 128];
+    struct cost_model cost;
+    unsigned threads;                 /* for what the host does */
+    struct look_targets *look;
     /* Plans and what they were made for: a request that came lately costs nothing to plan. */
     struct planned planned[PLANS_MAX];
     uint64_t plans_asked;
     const struct plan *plan;          /* the one in use */
     const struct plan *prepared;      /* the one that targets and ledger are made for; NULL: none */
-    unsigned octaves;
+    uint32_t prepared_pad;
     unsigned slots;
     struct bloom_slot slot[8];
     struct bloom_slot warm_slot; /* for first draws: the others' planes are in use */
     unsigned warmed;             /* steps of bloom_warm_next that are done */
 };
+
+/* ---- one frame being bloomed ----------------------------------------------------------------------- */
+
+struct frame {
+    struct bloom *b;
+    struct bloom_slot *slot;
+    struct slot_target *target;  /* the scene */
+    struct slot_target *source;  /* what glows: the scene, or another target */
+    struct slot_target *matte;   /* NULL: none */
+    const struct frame_scan *scan; /* of the source */
+    const struct bloom_request *request;
+    const struct params *params;
+    double exposure;             /* stops in use */
+    double threshold, knee;      /* in use: exposure applied */
+    uint32_t pad;                /* pixels of the canvas around the planes: edge=fill */
+    bool fft;                    /* the psf is a kernel: no plan */
+    bool keeps_e;                /* E is wanted at full size by more than the spread */
+    bool rich;                   /* the bright pass is extract.frag */
+    struct ledger_sums sums;
+    struct fault *f;
+};
+
+/* ---- bloom_bright.c: what glows, without looking at pixels ---- */
+void bright_set(struct frame *fr);
+/* Tiles, tiles_bright and max_bright of the reply. */
+void bright_count(const struct frame *fr, struct bloom_reply *reply);
+/* What E's own arithmetic rounds off, of max E. */
+double bright_rounding(const struct frame *fr, const struct bloom_reply *reply);
+
+/* ---- bloom_record.c: passes ---- */
+struct pass_uniforms *pass_begin(struct frame *fr, struct vk_draw *d);
+/* Three images go round: one holds the sum so far, the others the next rows and the next sum. */
+struct round {
+    struct vk_image *sum, *rows, *next;
+    bool any; /* sum holds something */
+};
+int record_begin(struct frame *fr);
+/* Bright pass, and E's levels. firefly, clamp: as asked, or left out for the ledger's sake. */
+int record_bright(struct frame *fr, bool firefly, bool clamp);
+/* Only the Gaussian of this index, -1: all. *r: any is false when there is none. */
+int record_spread(struct frame *fr, int only, struct round *r);
+/* One output: what it shows of the sum (NULL: no glow). */
+int record_output(struct frame *fr, unsigned output, const struct view_spec *view, struct vk_image *sum);
+int record_end(struct frame *fr);
+
+/* ---- bloom_meter.c: exposure=auto ---- */
+int meter_exposure(struct frame *fr, double *stops);
+
+/* ---- bloom_fft.c: kernels that are no sum of Gaussians ---- */
+/* After record_bright with E at full size: submits, convolves, begins anew with the glow in *sum. */
+int fft_spread(struct frame *fr, struct vk_image **sum);
+double fft_bound(const struct frame *fr);
+int fft_prepare(struct frame *fr);
+void fft_destroy(struct bloom *b);
+
+/* ---- bloom_cost.c ---- */
+int cost_measure(struct bloom *b, struct fault *f);
+double cost_predict(const struct bloom *b, const struct plan *p, const struct bloom_geometry *g);
+
+/* Dirt or another host image into the device's, before what is recorded next. */
+int dirt_upload(struct frame *fr, const struct bloom_image *image);
 
 /* Finds or builds the pipeline of a shader variant. NULL and *f on failure. */
 const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t spec, const char *format,

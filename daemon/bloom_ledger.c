@@ -24,15 +24,15 @@ void ledger_clear(struct ledger *l)
 
 static double cell(const double *v, long n, long i) { return i < 0 || i >= n ? 0 : v[i]; }
 
-// v over the stored cells of `level`, from -LEVEL_MARGIN on.
-static double *inside(uint32_t size, unsigned level, const unsigned char *order, const struct psf_taps *taps)
+// v over the stored cells of `level`, from -LEVEL_MARGIN on. size: of the canvas, of which the outer `pad` are outside.
+static double *inside(uint32_t size, uint32_t pad, unsigned level, const unsigned char *order, const struct psf_taps *taps)
 {
     uint32_t extent = size;
     long n = (long)((extent + 3) / 4 * 4 + 2 * LEVEL_MARGIN);
     double *v = calloc((size_t)n, sizeof(*v)), *w = calloc((size_t)n, sizeof(*w));
     if (!v || !w)
         goto fail;
-    for (uint32_t i = 0; i < size; i++)
+    for (uint32_t i = pad; i + pad < size; i++)
         v[LEVEL_MARGIN + i] = 1;
     // U^T is the halving times 2; a cell of level i+1 stands for 2 of level i, which takes the 2 back.
     for (unsigned o = 0; o < level; o++) {
@@ -103,15 +103,15 @@ static void add_edges(struct ledger *l, const struct targets *t, unsigned level,
     add_region(l, t, level, ex, v->texels - 2 * ex, v->groups - ey, ey);
 }
 
-int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, struct fault *f)
+int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, uint32_t pad, struct fault *f)
 {
     ledger_clear(l);
     uint32_t ex[PSF_LEVELS_MAX + 1] = { 0 }, ey[PSF_LEVELS_MAX + 1] = { 0 };
     for (unsigned g = 0; g < p->count; g++) {
         const struct plan_gaussian *k = &p->gaussian[g];
         const struct level *v = &t->level[k->level];
-        l->inside_x[g] = inside(t->shape.width, k->level, p->order, &k->x);
-        l->inside_y[g] = inside(t->shape.height, k->level, p->order, &k->y);
+        l->inside_x[g] = inside(t->shape.width, pad, k->level, p->order, &k->x);
+        l->inside_y[g] = inside(t->shape.height, pad, k->level, p->order, &k->y);
         if (!l->inside_x[g] || !l->inside_y[g])
             return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the energy ledger");
         const uint32_t x = edge_of(l->inside_x[g], v->texels), y = edge_of(l->inside_y[g], v->groups);
@@ -122,48 +122,60 @@ int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets 
         add_edges(l, t, i, ex[i], ey[i]);
     l->total_region = l->count;
     const struct level *top = &t->level[t->shape.octaves];
-    add_region(l, t, t->shape.octaves, 0, top->texels, 0, top->groups);
+    for (unsigned i = 0; i <= LEDGER_TOTALS; i++)
+        add_region(l, t, t->shape.octaves, 0, top->texels, 0, top->groups);
     return 0;
+}
+
+static void record_region(struct vk_commands *c, struct ledger *l, struct targets *t, const struct ledger_region *r)
+{
+    struct vk_image *m = r->level ? &t->e[r->level] : &t->layered;
+    vk_use(c, m, VK_PIPELINE_STAGE_2_COPY_BIT, VK_ACCESS_2_TRANSFER_READ_BIT, false);
+    vk_flush_barriers(c);
+    for (unsigned ch = 0; ch < t->shape.channels; ch++) {
+        // At level 0 a group of 4 rows is two of the layered image's, in its two phases.
+        const bool layered = r->level == 0;
+        const uint32_t rows = layered ? 2 : 1, layers = layered ? 2 : LEVEL_PHASES;
+        uint32_t first = r->group0 * rows, count = r->groups * rows;
+        if (layered) {
+            first = first < t->layered_groups ? first : t->layered_groups;
+            count = count < t->layered_groups - first ? count : t->layered_groups - first;
+        }
+        if (!count)
+            continue;
+        const VkBufferImageCopy copy = {
+            .bufferOffset = r->offset + (VkDeviceSize)ch * r->columns * r->groups * 16 * LEVEL_PHASES,
+            .bufferRowLength = r->columns,
+            .bufferImageHeight = r->groups * rows,
+            .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, layered ? ch * 2 : 0, layers },
+            .imageOffset = { (int32_t)r->column0,
+                             (int32_t)(first + (layered ? 0 : ch * t->level[r->level].groups)), 0 },
+            .imageExtent = { r->columns, count, 1 },
+        };
+        vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, l->buffer.buffer, 1, &copy);
+    }
 }
 
 int ledger_record(struct vk_commands *c, struct ledger *l, struct targets *t, struct fault *f)
 {
     if (vk_buffer_reserve(c->vk, &l->buffer, l->bytes, VK_BUFFER_USAGE_TRANSFER_DST_BIT, f) < 0)
         return -1;
-    for (unsigned i = 0; i < l->count; i++) {
-        const struct ledger_region *r = &l->region[i];
-        struct vk_image *m = r->level ? &t->e[r->level] : &t->layered;
-        vk_use(c, m, VK_PIPELINE_STAGE_2_COPY_BIT, VK_ACCESS_2_TRANSFER_READ_BIT, false);
-        vk_flush_barriers(c);
-        for (unsigned ch = 0; ch < t->shape.channels; ch++) {
-            // At level 0 a group of 4 rows is two of the layered image's, in its two phases.
-            const bool layered = r->level == 0;
-            const uint32_t rows = layered ? 2 : 1, layers = layered ? 2 : LEVEL_PHASES;
-            uint32_t first = r->group0 * rows, count = r->groups * rows;
-            if (layered) {
-                first = first < t->layered_groups ? first : t->layered_groups;
-                count = count < t->layered_groups - first ? count : t->layered_groups - first;
-            }
-            if (!count)
-                continue;
-            const VkBufferImageCopy copy = {
-                .bufferOffset = r->offset + (VkDeviceSize)ch * r->columns * r->groups * 16 * LEVEL_PHASES,
-                .bufferRowLength = r->columns,
-                .bufferImageHeight = r->groups * rows,
-                .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, layered ? ch * 2 : 0, layers },
-                .imageOffset = { (int32_t)r->column0,
-                                 (int32_t)(first + (layered ? 0 : ch * t->level[r->level].groups)), 0 },
-                .imageExtent = { r->columns, count, 1 },
-            };
-            vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, l->buffer.buffer, 1, &copy);
-        }
-    }
+    for (unsigned i = 0; i <= l->total_region; i++)
+        record_region(c, l, t, &l->region[i]);
     return 0;
 }
 
-// Sum over the region's cells of E * (1 - vx * vy); all of E with vx NULL.
+int ledger_record_total(struct vk_commands *c, struct ledger *l, struct targets *t, unsigned i, struct fault *f)
+{
+    if (vk_buffer_reserve(c->vk, &l->buffer, l->bytes, VK_BUFFER_USAGE_TRANSFER_DST_BIT, f) < 0)
+        return -1;
+    record_region(c, l, t, &l->region[l->total_region + 1 + i]);
+    return 0;
+}
+
+// Sum over the region's cells of weight_c * E_c * (1 - vx * vy); all of it with vx NULL.
 static double region_sum(const struct ledger *l, const struct ledger_region *r, const struct targets *t,
-                         const double *vx, const double *vy)
+                         const double weight[3], const double *vx, const double *vy)
 {
     double total = 0;
     const bool layered = r->level == 0;
@@ -171,7 +183,8 @@ static double region_sum(const struct ledger *l, const struct ledger_region *r, 
     for (unsigned ch = 0; ch < t->shape.channels; ch++) {
         const float *base = (const float *)(const void *)(l->buffer.memory.map + r->offset) +
                             (size_t)ch * r->columns * r->groups * 4 * LEVEL_PHASES;
-        for (uint32_t row = 0; row < r->groups * 4; row++) {
+        double of_channel = 0;
+        for (uint32_t row = 0; weight[ch] != 0 && row < r->groups * 4; row++) {
             const uint32_t y = r->group0 * 4 + row;
             if (layered && y / 2 >= t->layered_groups)
                 continue;
@@ -181,23 +194,26 @@ static double region_sum(const struct ledger *l, const struct ledger_region *r, 
             double sum = 0;
             for (uint32_t i = 0; i < r->columns * 4; i++)
                 sum += vx ? e[i] * (1 - wy * vx[r->column0 * 4 + i]) : e[i];
-            total += sum;
+            of_channel += sum;
         }
+        total += weight[ch] * of_channel;
     }
-    return total;
+    // A cell of a level stands for 4^level pixels.
+    return ldexp(total, 2 * (int)r->level);
 }
 
-void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, double intensity,
-                double *bright, double *lost)
+void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out)
 {
-    *bright = ldexp(region_sum(l, &l->region[l->total_region], t, NULL, NULL), 2 * (int)t->shape.octaves);
-    *lost = 0;
-    for (unsigned g = 0; g < p->count; g++)
-        for (unsigned i = 0; i < l->count; i++) {
-            const struct plan_gaussian *k = &p->gaussian[g];
+    static const double all[3] = { 1, 1, 1 };
+    const struct ledger_region *top = &l->region[l->total_region];
+    *out = (struct ledger_sums){ .bright = region_sum(l, top, t, all, NULL, NULL) };
+    for (unsigned i = 0; i < LEDGER_TOTALS; i++)
+        out->total[i] = region_sum(l, &top[1 + i], t, all, NULL, NULL);
+    for (unsigned g = 0; g < p->count; g++) {
+        const struct plan_gaussian *k = &p->gaussian[g];
+        out->spread += region_sum(l, top, t, k->weight, NULL, NULL);
+        for (unsigned i = 0; i <= l->total_region; i++)
             if (l->region[i].level == k->level)
-                *lost += intensity * k->weight *
-                         ldexp(region_sum(l, &l->region[i], t, l->inside_x[g], l->inside_y[g]),
-                               2 * (int)k->level);
-        }
+                out->outside += region_sum(l, &l->region[i], t, k->weight, l->inside_x[g], l->inside_y[g]);
+    }
 }

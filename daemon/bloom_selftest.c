@@ -86,66 +86,67 @@ static int compare(const struct planes *out, const struct params *p, const struc
     return 0;
 }
 
-static int one(struct bloom *b, unsigned channels, enum pixel_type type, const char *psf, double tolerance,
-               struct fault *f)
+/* What a small frame of the start is to show. */
+struct trial {
+    struct bloom_geometry geometry;
+    enum bright_curve curve;
+    const char *psf;
+    double tolerance;
+    bool points; /* lone points whose glow is compared; else a column of lamps, for the sake of the draws: drivers compile
+                    a pipeline when it first draws */
+};
+
+static void paint(const struct trial *t, const struct planes *in)
 {
-    struct params p;
-    params_init(&p);
-    p.bright = BRIGHT_CHANNEL;
-    p.threshold = 1;
-    p.tolerance = tolerance;
-    if (params_set_text(&p, "psf", psf, f) < 0)
-        return -1;
-    const struct bloom_geometry g = { SIZE, SIZE, channels, type, 0, 1 };
-    struct planes in, out;
-    struct frame_scan scan;
-    if (bloom_slot_prepare(b, &b->slot[0], 1, &g, &in, &out, f) < 0)
-        return -1;
-    if (frame_scan_init(&scan, SIZE, SIZE) < 0)
-        return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the self-test");
-    struct bloom_request request = { .params = &p, .scan = &scan, .luma = { 1, 0, 0 }, .pixel_aspect = 1 };
-    for (uint32_t y = 0; y < SIZE; y++)
-        for (unsigned c = 0; c < channels; c++)
-            memset(planes_row(&in, c, y), 0, in.pitch_bytes);
-    for (unsigned i = 0; i < POINTS; i++)
-        for (unsigned c = 0; c < channels; c++)
-            put(&in, c, points[i].x, points[i].y, points[i].value * (float)(c + 1));
-    for (uint32_t y = 0; y < SIZE; y++)
-        frame_scan_row(&scan, &in, y, request.luma);
-    struct bloom_reply reply;
-    int r = bloom_run(b, &b->slot[0], 0, &request, &reply, f);
-    if (r == 0)
-        r = compare(&out, &p, &reply, f);
-    frame_scan_finish(&scan);
-    return r;
+    for (unsigned c = 0; c < in->count; c++) {
+        for (uint32_t y = 0; y < in->height; y++) {
+            memset(planes_row(in, c, y), 0, (size_t)in->width * pixel_bytes(in->type));
+            if (!t->points)
+                put(in, c, 1, (int)y, 9);
+        }
+        for (unsigned i = 0; t->points && i < POINTS; i++)
+            put(in, c, points[i].x, points[i].y, points[i].value * (float)(c + 1));
+    }
 }
 
-/* A tiny frame with one lamp, for the sake of its draws: drivers compile a pipeline when it first draws. */
-static int warm(struct bloom *b, struct bloom_slot *s, const struct bloom_geometry *g, enum bright_curve curve,
-                const char *psf, double tolerance, struct fault *f)
+static int run_trial(struct bloom *b, struct bloom_slot *s, const struct trial *t, struct fault *f)
 {
     struct params p;
     struct planes in, out[BLOOM_OUTPUTS_MAX];
     struct frame_scan scan;
-    params_init(&p);
-    p.bright = curve;
-    p.tolerance = tolerance;
-    if (params_set_text(&p, "psf", psf, f) < 0 || bloom_slot_prepare(b, s, 1, g, &in, out, f) < 0)
-        return -1;
-    if (frame_scan_init(&scan, g->width, g->height) < 0)
-        return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the first draws");
-    struct bloom_request request = { .params = &p, .scan = &scan, .luma = { 0.25f, 0.5f, 0.25f }, .pixel_aspect = 1 };
-    for (uint32_t y = 0; y < g->height; y++)
-        for (unsigned c = 0; c < g->channels; c++) {
-            memset(planes_row(&in, c, y), 0, in.pitch_bytes);
-            put(&in, c, 1, (int)y, 9);
-        }
-    for (uint32_t y = 0; y < g->height; y++)
-        frame_scan_row(&scan, &in, y, request.luma);
     struct bloom_reply reply;
-    const int r = bloom_run(b, s, 0, &request, &reply, f);
+    params_init(&p);
+    p.bright = (int)t->curve;
+    p.threshold = 1;
+    p.tolerance = t->tolerance;
+    if (params_set_text(&p, "psf", t->psf, f) < 0 ||
+        bloom_slot_prepare(b, s, 1, &t->geometry, &in, out, f) < 0)
+        return -1;
+    if (frame_scan_init(&scan, in.width, in.height) < 0)
+        return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the self-test");
+    struct bloom_request request = { .params = &p, .scan = &scan, .source = -1, .matte = -1, .depth = -1,
+                                     .luma = { 0.25f, 0.5f, 0.25f }, .pixel_aspect = 1 };
+    paint(t, &in);
+    for (uint32_t y = 0; y < in.height; y++)
+        frame_scan_row(&scan, &in, y, request.luma);
+    int r = bloom_run(b, s, 0, &request, &reply, f);
+    if (r == 0 && t->points)
+        r = compare(&out[0], &p, &reply, f);
     frame_scan_finish(&scan);
     return r;
+}
+
+static int one(struct bloom *b, unsigned channels, enum pixel_type type, const char *psf, double tolerance, struct fault *f)
+{
+    const struct trial t = { { SIZE, SIZE, channels, type, 0, 1 }, BRIGHT_CHANNEL, psf, tolerance, true };
+    return run_trial(b, &b->slot[0], &t, f);
+}
+
+static int warm(struct bloom *b, struct bloom_slot *s, const struct bloom_geometry *g, enum bright_curve curve,
+                const char *psf, double tolerance, struct fault *f)
+{
+    const struct trial t = { *g, curve, psf, tolerance, false };
+    return run_trial(b, s, &t, f);
 }
 
 // The first octave's order, and none, decides the bright pass and the composite.

@@ -5,7 +5,7 @@
 
 #include "bloom_internal.h"
 
-enum { PLACES_MAX = BLOOM_TARGETS_MAX * (VK_PLANES + LEVEL_PHASES) };
+enum { PLACES_MAX = BLOOM_TARGETS_MAX * (VK_PLANES + BLOOM_OUTPUTS_MAX * LEVEL_PHASES) };
 
 static VkDeviceSize align_up(VkDeviceSize n, VkDeviceSize a) { return (n + a - 1) / a * a; }
 
@@ -82,9 +82,16 @@ static void set_levels(struct targets *t)
     t->layered_groups = (t->shape.height + 1) / 2 + LEVEL_MARGIN;
 }
 
+bool targets_same(const struct targets *t, const struct targets_shape *s)
+{
+    const struct targets_shape *h = &t->shape;
+    return t->made && h->width == s->width && h->height == s->height && h->channels == s->channels &&
+           h->octaves == s->octaves && h->full_size == s->full_size && h->finest == s->finest;
+}
+
 int targets_prepare(struct vk *v, struct targets *t, const struct targets_shape *shape, struct fault *f)
 {
-    if (t->made && !memcmp(&t->shape, shape, sizeof(*shape)))
+    if (targets_same(t, shape))
         return 0;
     targets_destroy(v, t);
     t->shape = *shape;
@@ -119,8 +126,9 @@ static void slot_clear(struct vk *v, struct bloom_slot *s)
     for (unsigned i = 0; i < s->count; i++) {
         for (unsigned c = 0; c < VK_PLANES; c++)
             vk_image_destroy(v, &s->target[i].in[c]);
-        for (unsigned p = 0; p < LEVEL_PHASES; p++)
-            vk_image_destroy(v, &s->target[i].out[p]);
+        for (unsigned o = 0; o < BLOOM_OUTPUTS_MAX; o++)
+            for (unsigned p = 0; p < LEVEL_PHASES; p++)
+                vk_image_destroy(v, &s->target[i].out[o][p]);
     }
     s->count = 0;
 }
@@ -142,52 +150,76 @@ static bool same_geometry(const struct bloom_slot *s, unsigned count, const stru
     return true;
 }
 
-static void describe(const struct bloom *b, const struct bloom_slot *s, const struct slot_target *t,
-                     struct planes *in, struct planes *out)
+static VkDeviceSize plane_bytes(const struct slot_target *t) { return (VkDeviceSize)t->texels * 16 * t->height; }
+static VkDeviceSize output_bytes(const struct slot_target *t)
+{
+    return (VkDeviceSize)t->texels * 16 * t->groups * t->geometry.channels * LEVEL_PHASES;
+}
+
+static void describe_output(const struct bloom *b, const struct bloom_slot *s, const struct slot_target *t, unsigned o,
+                            struct planes *out)
 {
     const struct bloom_geometry *g = &t->geometry;
-    const size_t tight = (size_t)t->texels * 16;
-    *in = (struct planes){ .width = g->width, .height = g->height, .count = g->channels, .type = g->type,
-                           .phases = 1 };
-    *out = *in;
-    out->phases = LEVEL_PHASES;
+    *out = (struct planes){ .width = t->width, .height = t->height, .count = g->channels, .type = g->type,
+                            .phases = LEVEL_PHASES };
+    uint8_t *base;
     if (b->staged) {
-        in->pitch_bytes = out->pitch_bytes = tight;
+        out->pitch_bytes = (size_t)t->texels * 16;
         for (unsigned i = 0; i < LEVEL_PHASES; i++)
-            out->phase_offset[i] = (ptrdiff_t)(i * tight * t->groups * g->channels);
-        for (unsigned c = 0; c < g->channels; c++) {
-            in->base[c] = s->staging.memory.map + t->staging_in + c * tight * g->height;
-            out->base[c] = s->staging.memory.map + t->staging_out + c * tight * t->groups;
-        }
-        return;
+            out->phase_offset[i] = (ptrdiff_t)(i * out->pitch_bytes * t->groups * g->channels);
+        base = s->staging.memory.map + t->staging_out + o * output_bytes(t);
+    } else {
+        out->pitch_bytes = t->out[o][0].row_pitch_bytes;
+        for (unsigned i = 0; i < LEVEL_PHASES; i++)
+            out->phase_offset[i] = (ptrdiff_t)((uintptr_t)t->out[o][i].host - (uintptr_t)t->out[o][0].host);
+        base = t->out[o][0].host;
     }
-    in->pitch_bytes = t->in[0].row_pitch_bytes;
-    out->pitch_bytes = t->out[0].row_pitch_bytes;
-    for (unsigned i = 0; i < LEVEL_PHASES; i++)
-        out->phase_offset[i] = (ptrdiff_t)((uintptr_t)t->out[i].host - (uintptr_t)t->out[0].host);
-    for (unsigned c = 0; c < g->channels; c++) {
-        in->base[c] = t->in[c].host;
-        out->base[c] = t->out[0].host + c * out->pitch_bytes * t->groups;
-    }
+    for (unsigned c = 0; c < g->channels; c++)
+        out->base[c] = base + c * out->pitch_bytes * t->groups;
+}
+
+// The window's rows within the grown planes.
+static void describe_input(const struct bloom *b, const struct bloom_slot *s, const struct slot_target *t, struct planes *in)
+{
+    const struct bloom_geometry *g = &t->geometry;
+    *in = (struct planes){ .width = g->width, .height = g->height, .count = g->channels, .type = g->type, .phases = 1 };
+    in->pitch_bytes = b->staged ? (size_t)t->texels * 16 : t->in[0].row_pitch_bytes;
+    const size_t corner = g->grow * in->pitch_bytes + (size_t)g->grow * pixel_bytes(g->type);
+    for (unsigned c = 0; c < g->channels; c++)
+        in->base[c] = (b->staged ? s->staging.memory.map + t->staging_in + c * plane_bytes(t) : t->in[c].host) + corner;
+}
+
+// What lies around the window, and rows' ends, are 0 for as long as the slot keeps its geometry: nobody writes there.
+static void clear_input(const struct bloom *b, const struct bloom_slot *s, const struct slot_target *t)
+{
+    struct planes in;
+    describe_input(b, s, t, &in);
+    const size_t corner = t->geometry.grow * in.pitch_bytes + (size_t)t->geometry.grow * pixel_bytes(in.type);
+    for (unsigned c = 0; c < in.count; c++)
+        memset(in.base[c] - corner, 0, in.pitch_bytes * t->height);
 }
 
 static int make_target(struct bloom *b, struct placing *p, struct slot_target *t,
                        const struct bloom_geometry *g, VkDeviceSize *staging, struct fault *f)
 {
     const VkFormat format = VK_FORMAT_R32G32B32A32_UINT;
-    const uint32_t wide = g->type == PIXEL_TYPE_HALF ? 8 : 4;
-    *t = (struct slot_target){ .geometry = *g, .texels = (g->width + wide - 1) / wide,
-                               .groups = (g->height + 3) / 4 };
+    const uint32_t wide = g->type == PIXEL_TYPE_HALF ? 8 : 4, most = b->vk.properties.limits.maxImageDimension2D;
+    if (g->width > most || g->height > most || g->grow > most)
+        return too_large(f, &b->vk, g->width, g->height);
+    *t = (struct slot_target){ .geometry = *g, .width = g->width + 2 * g->grow, .height = g->height + 2 * g->grow };
+    t->texels = (t->width + wide - 1) / wide;
+    t->groups = (t->height + 3) / 4;
     for (unsigned c = 0; c < g->channels; c++)
-        if (place(&b->vk, p, &t->in[c], format, t->texels, g->height, 1, !b->staged, f) < 0)
+        if (place(&b->vk, p, &t->in[c], format, t->texels, t->height, 1, !b->staged, f) < 0)
             return -1;
-    for (unsigned i = 0; i < LEVEL_PHASES; i++)
-        if (place(&b->vk, p, &t->out[i], format, t->texels, t->groups * g->channels, 1, !b->staged, f) < 0)
-            return -1;
+    for (unsigned o = 0; o < g->outputs; o++)
+        for (unsigned i = 0; i < LEVEL_PHASES; i++)
+            if (place(&b->vk, p, &t->out[o][i], format, t->texels, t->groups * g->channels, 1, !b->staged, f) < 0)
+                return -1;
     t->staging_in = *staging;
-    *staging += (VkDeviceSize)t->texels * 16 * g->height * g->channels;
+    *staging += plane_bytes(t) * g->channels;
     t->staging_out = *staging;
-    *staging += (VkDeviceSize)t->texels * 16 * t->groups * g->channels * LEVEL_PHASES;
+    *staging += output_bytes(t) * g->outputs;
     return 0;
 }
 
@@ -216,8 +248,13 @@ int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
             slot_clear(&b->vk, s);
             return -1;
         }
+        for (unsigned i = 0; i < count; i++)
+            clear_input(b, s, &s->target[i]);
     }
-    for (unsigned i = 0; i < count; i++)
-        describe(b, s, &s->target[i], &in[i], &out[(size_t)i * BLOOM_OUTPUTS_MAX]);
+    for (unsigned i = 0; i < count; i++) {
+        describe_input(b, s, &s->target[i], &in[i]);
+        for (unsigned o = 0; o < geometry[i].outputs; o++)
+            describe_output(b, s, &s->target[i], o, &out[(size_t)i * BLOOM_OUTPUTS_MAX + o]);
+    }
     return 0;
 }

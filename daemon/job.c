@@ -38,8 +38,8 @@ static void release_work(struct job *j)
 {
     exr_close(j->exr);
     j->exr = NULL;
-    scan_clear(&j->raw_scan);
-    scan_clear(&j->raw_source_scan);
+    for (unsigned i = 0; i < RAW_ROLES; i++)
+        scan_clear(&j->raw_scan[i]);
     asset_release(j->env->assets, j->dirt);
     asset_release(j->env->assets, j->kernel);
     j->dirt = j->kernel = NULL;
@@ -188,9 +188,9 @@ static int open_raw(struct job *j, struct fault *f)
     // A file of unstated size is measured only now.
     if (!l->targets && raw_check(l, j->input.size, f) < 0)
         return -1;
-    if (scan_make(&j->raw_scan, l, f) < 0 ||
-        (raw_find(l, RAW_SOURCE) >= 0 && scan_make(&j->raw_source_scan, l, f) < 0))
-        return -1;
+    for (unsigned i = 0; i < l->targets; i++)
+        if (l->target[i].role != RAW_DEPTH && scan_make(&j->raw_scan[i], l, f) < 0)
+            return -1;
     j->n_targets = l->targets;
     return 0;
 }
@@ -298,10 +298,11 @@ static int reject_nonfinite(const struct job_target *t, struct fault *f)
 static void request_raw(const struct job *j, struct bloom_request *r)
 {
     const struct raw_layout *l = &j->layout;
-    r->scan = &j->raw_scan;
+    r->scan = &j->raw_scan[0];
     r->source = raw_find(l, RAW_SOURCE);
-    r->source_scan = r->source >= 0 ? &j->raw_source_scan : NULL;
+    r->source_scan = r->source >= 0 ? &j->raw_scan[r->source] : NULL;
     r->matte = raw_find(l, RAW_MATTE);
+    r->matte_scan = r->matte >= 0 ? &j->raw_scan[r->matte] : NULL;
     r->depth = raw_find(l, RAW_DEPTH);
     memcpy(r->luma, luma_of(j), sizeof r->luma);
     r->pixel_aspect = 1;
@@ -322,6 +323,7 @@ static int request_exr(const struct job *j, const struct exr_target *t, struct b
     r->source = other_target(j, t->source, EXR_SOURCE);
     r->source_scan = r->source >= 0 ? &exr_target(j->exr, (unsigned)r->source)->scan : NULL;
     r->matte = other_target(j, t->matte, EXR_MATTE);
+    r->matte_scan = r->matte >= 0 ? &exr_target(j->exr, (unsigned)r->matte)->scan : NULL;
     r->depth = other_target(j, t->depth, EXR_DEPTH);
     memcpy(r->luma, t->luma, sizeof r->luma);
     r->pixel_aspect = t->pixel_aspect;
@@ -397,7 +399,7 @@ int job_plan(struct job *j, struct bloom *b, struct fault *f)
             continue;
         if (scene_begin(j, i, &request, &out, f) < 0)
             return -1;
-        request.scan = request.source_scan = NULL;
+        request.scan = request.source_scan = request.matte_scan = NULL;
         if (bloom_plan(b, &g[i], &request, &out->bloom, f) < 0)
             return -1;
     }
@@ -462,10 +464,9 @@ static int job_decode(struct job *j, unsigned task, struct exr_worker *w, struct
         return exr_decode(j->exr, task, w, f);
     for (unsigned i = 0; i < j->n_targets; i++) {
         const struct raw_target *t = &j->layout.target[i];
-        struct frame_scan *scan = t->role == RAW_SCENE    ? &j->raw_scan
-                                  : t->role == RAW_SOURCE ? &j->raw_source_scan
-                                                          : NULL;
-        raw_decode(&j->layout, t, j->input.data, &j->raw_in[i], scan, luma_of(j), task);
+        const float *luma = t->planes == 3 ? frame_rec709 : alone;
+        struct frame_scan *scan = t->role == RAW_DEPTH ? NULL : &j->raw_scan[i];
+        raw_decode(&j->layout, t, j->input.data, &j->raw_in[i], scan, luma, task);
     }
     return 0;
 }
@@ -564,7 +565,7 @@ void job_rewind(struct job *j)
 {
     exr_close(j->exr);
     j->exr = NULL;
-    scan_clear(&j->raw_scan);
-    scan_clear(&j->raw_source_scan);
+    for (unsigned i = 0; i < RAW_ROLES; i++)
+        scan_clear(&j->raw_scan[i]);
     j->n_targets = j->n_scenes = 0;
 }

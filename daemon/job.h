@@ -55,7 +55,7 @@ enum job_stage {
 enum job_kind { JOB_BLOOMS, JOB_PLANS, JOB_KEEPS };
 enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE };
 
-enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = 2048 };
+enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 128 };
 
 struct job_limits {
     uint64_t max_frame_bytes; /* a payload, either way */
@@ -121,7 +121,7 @@ struct job {
     /* The work. */
     struct exr *exr;
     char stamp[JOB_STAMP_MAX];
-    struct frame_scan raw_scan, raw_source_scan; /* raw only; tile_luma NULL: none */
+    struct frame_scan raw_scan[RAW_ROLES]; /* raw only, of each target; tile_luma NULL: none */
     struct planes raw_in[RAW_ROLES], raw_out;
     unsigned n_targets;
     bool untouched[BLOOM_TARGETS_MAX];

@@ -25,6 +25,7 @@ enum encoding { ENCODING_LINEAR, ENCODING_GAMMA22, ENCODING_SRGB };
 enum { STAGES_3, STAGES_6 };
 
 enum { PARAMS_GAUSSIANS_MAX = 32, PARAMS_TEXT_MAX = 512, PARAMS_LAYERS_MAX = 7, PARAMS_TINTS_MAX = 6 };
+enum { PARAMS_LINE_MAX = 4096 }; /* params_print is shorter, whatever was set */
 
 /* A length: pixel heights, per cent of the data window's diagonal, or mm on the sensor. */
 enum size_unit { SIZE_PIXELS, SIZE_PERCENT, SIZE_MM };
@@ -51,11 +52,11 @@ struct psf_spec {
     double f_number;           /* airy, aperture: 0.5 .. 1000, default 8 */
     double pitch_um;           /* airy, aperture: pixel pitch, 0.1 .. 1000, default 5 */
     double wavelength_nm[3];   /* airy, aperture: 100 .. 20000 for R, G, B, default 610 550 465 */
-    unsigned blades;           /* aperture: 3 .. 32; default 6; eye: none */
-    double rotation_deg;       /* aperture */
+    unsigned blades;           /* aperture: 3 .. 32, default 6 */
+    double rotation_deg;       /* aperture: -360 .. 360 */
     double degrees;            /* eye: angle that the picture's height spans, 1 .. 170, default 40 */
-    char digest[33];           /* image: of the uploaded kernel */
-};
+    char digest[33];           /* image: of the uploaded kernel; 32 hexadecimal digits, lower case */
+}; /* what a kind does not have is 0 */
 
 /* What a picture shows (METHODS section 1, step 9). */
 enum view { VIEW_FINAL, VIEW_SOURCE, VIEW_BRIGHT, VIEW_BLOOM, VIEW_LEVEL, VIEW_RESIDUAL };
@@ -80,7 +81,7 @@ struct params {
 #undef NUMBER
 #undef CHOICE
 #undef TEXT
-    uint64_t given;                /* bit i: row i of the table was set, not defaulted */
+    uint64_t given;                /* bit i: row i of the table was set, not defaulted (by itself or by a look) */
     /* The texts, read. */
     struct psf_spec psf_spec;
     struct size grow_size;
@@ -98,11 +99,25 @@ void params_init(struct params *p);
  * field "params.<name>", the value and the range. *p is untouched on failure. */
 int params_set_text(struct params *p, const char *name, const char *text, struct fault *f);
 int params_set_number(struct params *p, const char *name, double value, struct fault *f);
-/* Contradictions between parameters. */
+/* Was it set, not defaulted? name is one of the table's. */
+bool params_has(const struct params *p, const char *name);
+/* Puts in the numbers of p->look (METHODS section 2) for threshold, knee, intensity and emission where they were not
+ * given, and the look's own bright curve and composite. Call it when all is set, before params_check; again is
+ * no harm. Without a look nothing is changed.
+ *                  bright      threshold  knee  intensity  emission (with a matte)  composite
+ *   half-gaussian  channel     0.8        -     1.5        2                        add
+ *   mip-chain      knee        1          0.5   1          1                        add
+ *   three-scale    luminance   1          -     1          1                        add
+ *   jimenez        smoothstep  0.8        0.5   1          1                        add
+ *   airy-eight     channel     1          -     1          1                        screen-add
+ * Exposure and display stay as asked: an EXR comes out scene-linear by default, with a look too. */
+void params_look_defaults(struct params *p);
+/* Contradictions between parameters: what was given and cannot act with the look, the psf or the others; numbers that
+ * exclude each other. 0, or -1 and *f (PARAM_CONFLICT naming one of them; PARAM_RANGE for kawase). */
 int params_check(const struct params *p, struct fault *f);
 /* One line that says every parameter that has a meaning, "name=value" in the table's order, numbers with
- * %.17g trimmed to the shortest that reads back: equal lines mean equal requests. Returns its length as
- * snprintf does. */
+ * %.17g trimmed to the shortest that reads back, a text with a blank or a quote as "..." with \ before " and \:
+ * equal lines mean equal requests, and the line, set again, makes the same. Returns its length as snprintf does. */
 int params_print(const struct params *p, char *out, size_t size);
 /* A size in pixel heights of a frame. display_width: pixels of the display window. */
 double params_pixels(const struct params *p, const struct size *s, uint32_t width, uint32_t height,

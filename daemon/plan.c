@@ -97,15 +97,26 @@ static int by_level(const void *a, const void *b)
     return x->sigma_x < y->sigma_x ? -1 : x->sigma_x > y->sigma_x;
 }
 
+// The largest over the channels of the weighted sum of v(g): light of one channel never meets another's.
+static double weighted(const struct plan *p, bool of_error)
+{
+    double most = 0;
+    for (unsigned c = 0; c < 3; c++) {
+        double sum = 0;
+        for (unsigned g = 0; g < p->count; g++)
+            sum += p->gaussian[g].weight[c] * (of_error ? p->gaussian[g].l1 : 1);
+        most = fmax(most, sum);
+    }
+    return most;
+}
+
 static int apply_rule(struct plan *p, const struct rule *r, double want)
 {
     set_orders(p, r);
-    p->filter_bound = 0;
-    for (unsigned g = 0; g < p->count; g++) {
+    for (unsigned g = 0; g < p->count; g++)
         if (fit(p, &p->gaussian[g], r, want) < 0)
             return -1;
-        p->filter_bound += p->gaussian[g].weight * p->gaussian[g].l1;
-    }
+    p->filter_bound = weighted(p, true);
     return 0;
 }
 
@@ -161,37 +172,55 @@ static void count_cost(struct plan *p)
     p->rounding_bound = (roundings + widest + p->count) * 0x1p-24;
 }
 
-static int set_sizes(struct plan *p, const struct params *params, uint32_t width, uint32_t height,
-                     double aspect, struct fault *f)
+// near for the narrowest, far for the widest, between them by the logarithm of sigma.
+static double band_gain(const struct params *params, double sigma, double least, double most)
+{
+    const double u = most > least ? log(sigma / least) / log(most / least) : 0;
+    return params->near_gain + (params->far_gain - params->near_gain) * u;
+}
+
+static int set_sizes(struct plan *p, const struct params *params, const struct plan_facts *facts, struct fault *f)
 {
     const struct psf_spec *spec = &params->psf_spec;
+    double sigma[PARAMS_GAUSSIANS_MAX], least = INFINITY, most = 0;
+    for (unsigned i = 0; i < spec->count; i++) {
+        sigma[i] = params_pixels(params, &spec->gaussian[i].sigma, facts->width, facts->height, facts->display_width,
+                                 facts->pixel_aspect);
+        least = fmin(least, sigma[i]);
+        most = fmax(most, sigma[i]);
+    }
     for (unsigned i = 0; i < spec->count; i++) {
         const struct psf_gaussian *s = &spec->gaussian[i];
-        const double sigma = params_pixels(params, &s->sigma, width, height, width, aspect);
-        if (s->weight == 0)
+        const double weight = s->weight * band_gain(params, sigma[i], least, most);
+        struct plan_gaussian g = { .index = i, .sigma_y = sigma[i], .sigma_x = sigma[i] / facts->pixel_aspect };
+        for (unsigned c = 0; c < 3; c++)
+            g.weight[c] = weight * s->tint[c];
+        if (facts->channels == 1) {
+            g.weight[0] = (g.weight[0] + g.weight[1] + g.weight[2]) / 3;
+            g.weight[1] = g.weight[2] = 0;
+        }
+        if ((facts->only >= 0 && (unsigned)facts->only != i) || fmax(g.weight[0], fmax(g.weight[1], g.weight[2])) == 0)
             continue;
-        struct plan_gaussian *g = &p->gaussian[p->count++];
-        *g = (struct plan_gaussian){ .weight = s->weight, .sigma_y = sigma, .sigma_x = sigma / aspect };
         // Below this a Gaussian is one pixel to 1e-80; keep the arithmetic away from 0/0.
-        g->sigma_x = fmax(g->sigma_x, SIGMA_MIN);
-        g->sigma_y = fmax(g->sigma_y, SIGMA_MIN);
-        if (fmax(g->sigma_x, g->sigma_y) > SIGMA_MAX)
+        g.sigma_x = fmax(g.sigma_x, SIGMA_MIN);
+        g.sigma_y = fmax(g.sigma_y, SIGMA_MIN);
+        if (!(fmax(g.sigma_x, g.sigma_y) <= SIGMA_MAX))
             return fault_set(f, FAULT_PARAM_RANGE, "params.psf",
                              "sigma %g of this frame is %g px: at most %g px expected", s->sigma.value,
-                             fmax(g->sigma_x, g->sigma_y), SIGMA_MAX);
-        p->weight_sum += s->weight;
+                             fmax(g.sigma_x, g.sigma_y), SIGMA_MAX);
+        p->gaussian[p->count++] = g;
     }
+    p->weight_sum = weighted(p, false);
     return 0;
 }
 
-int plan_make(struct plan *p, const struct params *params, uint32_t width, uint32_t height,
-              double pixel_aspect, struct fault *f)
+int plan_make(struct plan *p, const struct params *params, double tolerance, const struct plan_facts *facts, struct fault *f)
 {
     memset(p, 0, sizeof(*p));
-    if (set_sizes(p, params, width, height, pixel_aspect, f) < 0)
+    if (set_sizes(p, params, facts, f) < 0)
         return -1;
     // Each Gaussian to its share, so that the weighted sum holds too.
-    const double share = params->tolerance / fmax(1, p->weight_sum);
+    const double share = tolerance / fmax(1, p->weight_sum);
     for (unsigned r = 0; r < RULES; r++) {
         snprintf(p->rule, sizeof(p->rule), "%s", rules[r].name);
         for (unsigned g = 0; g < p->count; g++) {
@@ -204,9 +233,9 @@ int plan_make(struct plan *p, const struct params *params, uint32_t width, uint3
         }
         if (apply_rule(p, &rules[r], share) < 0)
             goto fail;
-        if (holds(p, params->tolerance))
+        if (holds(p, tolerance))
             break;
-        if (r + 1 == RULES && refine(p, params->tolerance) < 0)
+        if (r + 1 == RULES && refine(p, tolerance) < 0)
             goto fail;
     }
     qsort(p->gaussian, p->count, sizeof(p->gaussian[0]), by_level);
@@ -214,6 +243,19 @@ int plan_make(struct plan *p, const struct params *params, uint32_t width, uint3
     return 0;
 fail:
     return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the error of a plan");
+}
+
+uint32_t plan_reach(const struct plan *p)
+{
+    uint32_t reach = 0;
+    for (unsigned g = 0; g < p->count; g++) {
+        const struct plan_gaussian *k = &p->gaussian[g];
+        const uint32_t half = k->x.half > k->y.half ? k->x.half : k->y.half;
+        // The filters of the octaves add less than 8 cells of the level, down and up.
+        const uint32_t r = (half + (k->level ? 8 : 0)) << k->level;
+        reach = r > reach ? r : reach;
+    }
+    return reach;
 }
 
 int plan_print(const struct plan *p, char *out, size_t size)

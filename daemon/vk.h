@@ -51,7 +51,7 @@ void vk_list(void (*print)(const char *line));
 int vk_fault(struct fault *f, VkResult r, const char *what); /* fills *f, returns -1 */
 
 /* Wait for this long at most for anything on the device; beyond it the device counts as lost. */
-enum { VK_WAIT_NS_S = 60 };
+enum { VK_WAIT_S = 60 };
 
 /* ---- memory ------------------------------------------------------------------------------------ */
 
@@ -70,8 +70,8 @@ struct vk_arena {
     struct vk_memory block[VK_BLOCKS_MAX];
 };
 
-/* Makes sure of `size` bytes of a type in `type_bits`. True in *moved when it was made anew: what was
- * bound to it must have been destroyed before. */
+/* Makes sure of `size` bytes of a type in `type_bits`. It may be made anew: what was bound to it must have been
+ * destroyed before. */
 int vk_memory_reserve(struct vk *v, struct vk_memory *m, VkDeviceSize size, uint32_t type_bits,
                       enum vk_place place, struct fault *f);
 void vk_memory_free(struct vk *v, struct vk_memory *m);
@@ -132,7 +132,7 @@ void vk_use(struct vk_commands *c, struct vk_image *m, VkPipelineStageFlags2 sta
 void vk_flush_barriers(struct vk_commands *c);
 /* Host writes before, host reads after: submission makes the first visible, this the second. */
 void vk_to_host(struct vk_commands *c);
-/* Submits and waits, at most VK_WAIT_NS_S seconds. */
+/* Submits and waits, at most VK_WAIT_S seconds. */
 int vk_submit_and_wait(struct vk_commands *c, struct fault *f);
 
 /* After vk_submit_and_wait: milliseconds from the start of the commands to the end of draw i; n read. */
@@ -141,7 +141,8 @@ unsigned vk_stamps_ms(struct vk_commands *c, double *out, unsigned n);
 /* ---- passes ------------------------------------------------------------------------------------ */
 
 /* A full-screen fragment pass: reads images by imageLoad, writes colour attachments. The one descriptor
- * set: 0 src and 1 add (2D arrays, rgba32f), 2 in[3] (2D, rgba32ui), 3 the pass's uniform block. */
+ * set: 0 src and 1 add (2D arrays), 2 in[3] (2D, rgba32ui), 3 the pass's uniform block, 4 matte (2D, rgba32ui),
+ * 5 dirt (2D, rgba32f), 6 a storage buffer (compute only). */
 struct vk_pipeline {
     VkPipeline pipeline;
     unsigned attachments;
@@ -150,20 +151,26 @@ struct vk_pipeline {
 int vk_pipeline_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes,
                        VkFormat format, unsigned attachments, const int32_t *spec, unsigned n_spec,
                        struct fault *f);
+int vk_compute_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes, struct fault *f);
 void vk_pipeline_destroy(struct vk *v, struct vk_pipeline *p);
 
 struct vk_draw {
     const struct vk_pipeline *pipeline;
     struct vk_image *src, *add;            /* NULL: not read */
     struct vk_image *in[VK_PLANES];
+    struct vk_image *matte, *dirt;         /* NULL: not read */
     struct vk_image *dst;                  /* its layers are the attachments */
     struct vk_image *dst_each[VK_ATTACHMENTS_MAX]; /* or images of one layer, when dst is NULL */
     VkRect2D area;                         /* of the attachments; nothing outside is written */
     unsigned bands;                        /* > 1: the area is drawn in so many bands of equal height, and
                                               band i finds in[i] where a single band finds in[0] */
+    bool all_planes;                       /* but every band finds all of in[] */
     VkBuffer uniforms;
     VkDeviceSize uniforms_offset, uniforms_bytes;
 };
 void vk_draw(struct vk_commands *c, const struct vk_draw *d);
+/* A compute pass: reads d's images, adds to the counters in `counts`, which the host may read after the submission. */
+void vk_dispatch(struct vk_commands *c, const struct vk_draw *d, const struct vk_buffer *counts, uint32_t groups_x,
+                 uint32_t groups_y);
 
 #endif

@@ -171,10 +171,10 @@ int vk_submit_and_wait(struct vk_commands *c, struct fault *f)
         .pSemaphores = &v->timeline,
         .pValues = &value,
     };
-    r = vkWaitSemaphores(v->device, &wait, VK_WAIT_NS_S * UINT64_C(1000000000));
+    r = vkWaitSemaphores(v->device, &wait, VK_WAIT_S * UINT64_C(1000000000));
     if (r == VK_TIMEOUT)
         return fault_set(f, FAULT_DEVICE_LOST, "", "the device did not finish a frame within %d s",
-                         VK_WAIT_NS_S);
+                         VK_WAIT_S);
     return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkWaitSemaphores");
 }
 
@@ -271,6 +271,31 @@ int vk_pipeline_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spir
     return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkCreateGraphicsPipelines");
 }
 
+int vk_compute_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes, struct fault *f)
+{
+    *p = (struct vk_pipeline){ 0 };
+    const VkShaderModuleCreateInfo module_info = {
+        .sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
+        .codeSize = bytes,
+        .pCode = spirv,
+    };
+    VkShaderModule module;
+    VkResult r = vkCreateShaderModule(v->device, &module_info, NULL, &module);
+    if (r != VK_SUCCESS)
+        return vk_fault(f, r, "vkCreateShaderModule");
+    const VkComputePipelineCreateInfo info = {
+        .sType = VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO,
+        .stage = { .sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO,
+                   .stage = VK_SHADER_STAGE_COMPUTE_BIT,
+                   .module = module,
+                   .pName = "main" },
+        .layout = v->pipeline_layout,
+    };
+    r = vkCreateComputePipelines(v->device, VK_NULL_HANDLE, 1, &info, NULL, &p->pipeline);
+    vkDestroyShaderModule(v->device, module, NULL);
+    return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkCreateComputePipelines");
+}
+
 void vk_pipeline_destroy(struct vk *v, struct vk_pipeline *p)
 {
     if (p->pipeline)
@@ -278,45 +303,76 @@ void vk_pipeline_destroy(struct vk *v, struct vk_pipeline *p)
     *p = (struct vk_pipeline){ 0 };
 }
 
-static void push_bindings(struct vk_commands *c, const struct vk_draw *d, unsigned band)
+struct bindings {
+    VkDescriptorImageInfo image[4 + VK_PLANES];
+    VkDescriptorBufferInfo buffer[2];
+    VkWriteDescriptorSet set[7];
+    unsigned images, buffers, sets;
+};
+
+static void bind_image(struct bindings *w, uint32_t binding, const struct vk_image *m)
 {
-    VkDescriptorImageInfo images[2 + VK_PLANES];
-    VkWriteDescriptorSet sets[4];
-    unsigned n = 0;
-    struct vk_image *single[2] = { d->src, d->add };
-    for (unsigned i = 0; i < 2; i++) {
-        if (!single[i])
-            continue;
-        images[i] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, single[i]->view, VK_IMAGE_LAYOUT_GENERAL };
-        sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
-                                            .dstBinding = i,
-                                            .descriptorCount = 1,
-                                            .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
-                                            .pImageInfo = &images[i] };
-    }
+    if (!m)
+        return;
+    w->image[w->images] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, m->view, VK_IMAGE_LAYOUT_GENERAL };
+    w->set[w->sets++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                                .dstBinding = binding,
+                                                .descriptorCount = 1,
+                                                .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
+                                                .pImageInfo = &w->image[w->images] };
+    w->images++;
+}
+
+static void bind_buffer(struct bindings *w, uint32_t binding, VkDescriptorType type, VkBuffer buffer, VkDeviceSize offset,
+                        VkDeviceSize bytes)
+{
+    w->buffer[w->buffers] = (VkDescriptorBufferInfo){ buffer, offset, bytes };
+    w->set[w->sets++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                                .dstBinding = binding,
+                                                .descriptorCount = 1,
+                                                .descriptorType = type,
+                                                .pBufferInfo = &w->buffer[w->buffers] };
+    w->buffers++;
+}
+
+static void push_bindings(struct vk_commands *c, const struct vk_draw *d, unsigned band, VkPipelineBindPoint point,
+                          const struct vk_buffer *counts)
+{
+    struct bindings w;
+    w.images = w.buffers = w.sets = 0;
+    bind_image(&w, 0, d->src);
+    bind_image(&w, 1, d->add);
+    bind_image(&w, 4, d->matte);
+    bind_image(&w, 5, d->dirt);
     if (d->in[0]) {
+        const VkDescriptorImageInfo *first = &w.image[w.images];
         for (unsigned i = 0; i < VK_PLANES; i++)
-            images[2 + i] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, d->in[d->bands > 1 ? band : i]->view,
-                                                     VK_IMAGE_LAYOUT_GENERAL };
-        sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
-                                            .dstBinding = 2,
-                                            .descriptorCount = VK_PLANES,
-                                            .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
-                                            .pImageInfo = &images[2] };
+            w.image[w.images++] = (VkDescriptorImageInfo){ VK_NULL_HANDLE, d->in[d->bands > 1 && !d->all_planes ? band : i]->view,
+                                                           VK_IMAGE_LAYOUT_GENERAL };
+        w.set[w.sets++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
+                                                  .dstBinding = 2,
+                                                  .descriptorCount = VK_PLANES,
+                                                  .descriptorType = VK_DESCRIPTOR_TYPE_STORAGE_IMAGE,
+                                                  .pImageInfo = first };
     }
-    const VkDescriptorBufferInfo uniforms = { d->uniforms, d->uniforms_offset, d->uniforms_bytes };
-    sets[n++] = (VkWriteDescriptorSet){ .sType = VK_STRUCTURE_TYPE_WRITE_DESCRIPTOR_SET,
-                                        .dstBinding = 3,
-                                        .descriptorCount = 1,
-                                        .descriptorType = VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER,
-                                        .pBufferInfo = &uniforms };
-    c->vk->push_descriptor_set(c->buffer, VK_PIPELINE_BIND_POINT_GRAPHICS, c->vk->pipeline_layout, 0, n,
-                               sets);
+    bind_buffer(&w, 3, VK_DESCRIPTOR_TYPE_UNIFORM_BUFFER, d->uniforms, d->uniforms_offset, d->uniforms_bytes);
+    if (counts)
+        bind_buffer(&w, 6, VK_DESCRIPTOR_TYPE_STORAGE_BUFFER, counts->buffer, 0, counts->size);
+    c->vk->push_descriptor_set(c->buffer, point, c->vk->pipeline_layout, 0, w.sets, w.set);
+}
+
+static void use_inputs(struct vk_commands *c, const struct vk_draw *d, VkPipelineStageFlags2 stage)
+{
+    struct vk_image *all[] = { d->src, d->add, d->matte, d->dirt };
+    for (unsigned i = 0; i < sizeof(all) / sizeof(all[0]); i++)
+        if (all[i])
+            vk_use(c, all[i], stage, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
+    for (unsigned i = 0; d->in[0] && i < VK_PLANES; i++)
+        vk_use(c, d->in[i], stage, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
 }
 
 void vk_draw(struct vk_commands *c, const struct vk_draw *d)
 {
-    const VkPipelineStageFlags2 fragment = VK_PIPELINE_STAGE_2_FRAGMENT_SHADER_BIT;
     const VkPipelineStageFlags2 output = VK_PIPELINE_STAGE_2_COLOR_ATTACHMENT_OUTPUT_BIT;
     VkRenderingAttachmentInfo attachments[VK_ATTACHMENTS_MAX];
     uint32_t width = 0, height = 0;
@@ -335,12 +391,7 @@ void vk_draw(struct vk_commands *c, const struct vk_draw *d)
         if (!d->dst || i == 0)
             vk_use(c, m, output, VK_ACCESS_2_COLOR_ATTACHMENT_WRITE_BIT, all);
     }
-    if (d->src)
-        vk_use(c, d->src, fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
-    if (d->add)
-        vk_use(c, d->add, fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
-    for (unsigned i = 0; d->in[0] && i < VK_PLANES; i++)
-        vk_use(c, d->in[i], fragment, VK_ACCESS_2_SHADER_STORAGE_READ_BIT, false);
+    use_inputs(c, d, VK_PIPELINE_STAGE_2_FRAGMENT_SHADER_BIT);
     vk_flush_barriers(c);
 
     const VkRenderingInfo rendering = {
@@ -360,9 +411,42 @@ void vk_draw(struct vk_commands *c, const struct vk_draw *d)
         band.extent.height /= bands;
         band.offset.y += (int32_t)(i * band.extent.height);
         vkCmdSetScissor(c->buffer, 0, 1, &band);
-        push_bindings(c, d, i);
+        push_bindings(c, d, i, VK_PIPELINE_BIND_POINT_GRAPHICS, NULL);
         vkCmdDraw(c->buffer, 3, 1, 0, 0);
     }
     vkCmdEndRendering(c->buffer);
+    stamp(c);
+}
+
+void vk_dispatch(struct vk_commands *c, const struct vk_draw *d, const struct vk_buffer *counts, uint32_t groups_x,
+                 uint32_t groups_y)
+{
+    use_inputs(c, d, VK_PIPELINE_STAGE_2_COMPUTE_SHADER_BIT);
+    vk_flush_barriers(c);
+    vkCmdFillBuffer(c->buffer, counts->buffer, 0, VK_WHOLE_SIZE, 0);
+    VkMemoryBarrier2 barrier = {
+        .sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER_2,
+        .srcStageMask = VK_PIPELINE_STAGE_2_CLEAR_BIT,
+        .srcAccessMask = VK_ACCESS_2_TRANSFER_WRITE_BIT,
+        .dstStageMask = VK_PIPELINE_STAGE_2_COMPUTE_SHADER_BIT,
+        .dstAccessMask = VK_ACCESS_2_SHADER_STORAGE_READ_BIT | VK_ACCESS_2_SHADER_STORAGE_WRITE_BIT,
+    };
+    const VkDependencyInfo info = {
+        .sType = VK_STRUCTURE_TYPE_DEPENDENCY_INFO,
+        .memoryBarrierCount = 1,
+        .pMemoryBarriers = &barrier,
+    };
+    vkCmdPipelineBarrier2(c->buffer, &info);
+    vkCmdBindPipeline(c->buffer, VK_PIPELINE_BIND_POINT_COMPUTE, d->pipeline->pipeline);
+    push_bindings(c, d, 0, VK_PIPELINE_BIND_POINT_COMPUTE, counts);
+    vkCmdDispatch(c->buffer, groups_x, groups_y, 1);
+    barrier = (VkMemoryBarrier2){
+        .sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER_2,
+        .srcStageMask = VK_PIPELINE_STAGE_2_COMPUTE_SHADER_BIT,
+        .srcAccessMask = VK_ACCESS_2_SHADER_STORAGE_WRITE_BIT,
+        .dstStageMask = VK_PIPELINE_STAGE_2_HOST_BIT,
+        .dstAccessMask = VK_ACCESS_2_HOST_READ_BIT,
+    };
+    vkCmdPipelineBarrier2(c->buffer, &info);
     stamp(c);
 }

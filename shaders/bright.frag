@@ -38,29 +38,7 @@ const int FIRST = 1 - ORDER / 2, SPAN = 6 + ORDER, STEP = 8;
 const int FIRST = 0, SPAN = 4, STEP = 4;
 #endif
 
-float finite_part(float v)
-{
-    return nonfinite(floatBitsToUint(v)) ? 0.0 : max(v, 0.0);
-}
-
-vec3 excess(vec3 c)
-{
-    if (CURVE == 0)
-        return c;
-    if (CURVE == 1)
-        return max(c - pass.bright.x, 0.0);
-    float l = dot(c, pass.luma.rgb);
-    float gain;
-    if (CURVE == 4) {
-        // A knee of no width is a step; 1/(2TK) is 0 then.
-        float t = pass.bright.z == 0.0 ? float(l > pass.bright.x) : clamp((l - pass.bright.w) * pass.bright.z, 0.0, 1.0);
-        gain = t * t * (3.0 - 2.0 * t);
-    } else {
-        float s = clamp(l - pass.bright.w, 0.0, pass.bright.y);
-        gain = max(s * (s * pass.bright.z), max(l - pass.bright.x, 0.0)) / max(l, 1.1754944e-38);
-    }
-    return c * gain;
-}
+#include "curve.glsl"
 
 void unpack_texel(uvec4 u, out float v[8])
 {

@@ -16,11 +16,15 @@
 layout(std140, set = 0, binding = 3) uniform Pass {
     ivec4 src;      // x: texels of a row, y: groups of a block
     ivec4 add;      // the same of the image that is added
-    ivec4 frame;    // width, height of the data window; z: groups of a block of the target
-    ivec4 mode;     // x: curve, y: nonfinite policy
+    ivec4 frame;    // width, height of the planes; z: groups of a block of the target
+    ivec4 mode;     // x: pixels between the canvas' corner and the planes', a multiple of 16; y: nonfinite policy;
+                    // z, w: size of the dirt image
     vec4 bright;    // T, 2K, 1/(4K) (smoothstep: 1/(2TK)) or 0 where K is 0, the curve's foot T - K (T - TK)
-    vec4 luma;
-    vec4 weight;    // of this pass's result; in .w the gain of a composite
+    vec4 luma;      // w: 2^exposure, for the display
+    vec4 weight;    // of this pass's result, for R, G, B; in .w the gain of a composite
+    vec4 limit;     // clamp, firefly, emission, saturation
+    vec4 dirt;      // gain, the image's size over the picture's in x and y
+    ivec4 window;   // the data window within the planes: first x, y, and those past the last
     vec4 tap[11];   // half kernel: tap[k / 4][k % 4]
 } pass;
 
@@ -57,6 +61,19 @@ vec4 add_at(int column, int block, int row)
 
 #ifdef READS_IN
 layout(rgba32ui, set = 0, binding = 2) uniform readonly uimage2D planes[3];
+layout(rgba32ui, set = 0, binding = 4) uniform readonly uimage2D matte_plane;
+
+// Sample x of row y of an image of 8 halfs or 4 floats a texel.
+float sample_bits(uvec4 u, int x, bool of_half)
+{
+    int k = of_half ? (x & 7) >> 1 : x & 3;
+    uint word = k < 2 ? (k == 0 ? u.x : u.y) : (k == 2 ? u.z : u.w);
+    if (!of_half)
+        return uintBitsToFloat(word);
+    vec2 two = unpackHalf2x16(word);
+    return (x & 1) == 0 ? two.x : two.y;
+}
+float matte_at(ivec2 at, bool of_half) { return sample_bits(imageLoad(matte_plane, ivec2(of_half ? at.x >> 3 : at.x >> 2, at.y)), at.x, of_half); }
 #endif
 
 #ifdef WRITES_LEVEL
@@ -76,3 +93,8 @@ void where(out int column, out int block, out int group)
 #endif
 
 bool nonfinite(uint bits) { return (bits & 0x7f800000u) == 0x7f800000u; }
+
+float finite_part(float v)
+{
+    return nonfinite(floatBitsToUint(v)) ? 0.0 : max(v, 0.0);
+}

@@ -1,7 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h: the words
-# of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pass.c asks by name.
+# of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pipeline.c asks by name.
 set -eu
 cd "$(dirname "$0")/.."
 out=$1
@@ -23,6 +23,10 @@ for order in 0 4 6 8; do
         one bright_o${order}_c$channels bright.frag -DORDER=$order -DCHANNELS=$channels
         one bright_o${order}_c${channels}_half bright.frag -DORDER=$order -DCHANNELS=$channels -DHALF
     done
+    for channels in 1 3; do
+        one develop_o${order}_c$channels develop.frag -DORDER=$order -DCHANNELS=$channels
+        one develop_o${order}_c${channels}_half develop.frag -DORDER=$order -DCHANNELS=$channels -DHALF
+    done
     one composite_o$order composite.frag -DORDER=$order
     one composite_o${order}_half composite.frag -DORDER=$order -DHALF
     [ $order = 0 ] && continue
@@ -30,6 +34,12 @@ for order in 0 4 6 8; do
     one down_layered_o$order down.frag -DORDER=$order -DLAYERED
     one down_vertical_o$order down.frag -DORDER=$order -DLAYERED -DVERTICAL
     one up_o$order up.frag -DORDER=$order
+done
+for channels in 1 3; do
+    one extract_c$channels extract.frag -DCHANNELS=$channels
+    one extract_c${channels}_half extract.frag -DCHANNELS=$channels -DHALF
+    one histogram_c$channels histogram.comp -DCHANNELS=$channels
+    one histogram_c${channels}_half histogram.comp -DCHANNELS=$channels -DHALF
 done
 for reach in 1 2 3 4 6 10; do
     one blur_h_r$reach blur.frag -DREACH=$reach

@@ -41,7 +41,7 @@ run() { # label command...
     fi
 }
 
-for t in psf plan frame params reference wire conn libairy libairy_request libairy_bad frames exr exr_bad raw engine sched \
+for t in psf plan frame params reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_bad raw engine property sched \
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
 done
@@ -52,13 +52,14 @@ A=$BUILD/asan
 # The loader unloads the driver before leaks are looked for, and then nothing can tell whose they are: keep it.
 # (The validation layer cannot be kept so, and the plain run has it.)
 keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0"
-for t in psf plan frame params reference wire conn libairy libairy_request libairy_bad frames exr exr_bad raw \
+for t in psf plan frame params reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_bad raw \
     server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
 done
 for t in engine sched; do
     run "asan-$t" $keep "$A/tests/test_$t"
 done
+run asan-property $keep AIRY_SCENES=60 "$A/tests/test_property"
 S=$BUILD/tsan
 for t in conn libairy libairy_request exr server server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" "$S/tests/test_$t"

@@ -14,214 +14,12 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "bloom.h"
-#include "reference.h"
+#include "scene_kit.h"
 
 static struct bloom *engine;
 static bool validate = true;
-static uint64_t seed = 0x9e3779b97f4a7c15u;
 
 static void log_line(const char *line) { print_message("%s\n", line); }
-
-static double uniform(void)
-{
-    seed ^= seed << 13;
-    seed ^= seed >> 7;
-    seed ^= seed << 17;
-    return (double)(seed >> 11) * 0x1p-53;
-}
-
-/* One frame: what goes in as doubles (already of the pixel type's precision), and what came out. */
-struct scene {
-    unsigned width, height, channels;
-    enum pixel_type type;
-    double *plane[3];
-    double *out[3];
-    struct frame_scan scan;
-    struct planes in_planes, out_planes;
-    struct bloom_reply reply;
-    float luma[3];
-    double aspect;
-};
-
-static void scene_init(struct scene *s, unsigned w, unsigned h, unsigned channels, enum pixel_type type)
-{
-    *s = (struct scene){ .width = w, .height = h, .channels = channels, .type = type, .aspect = 1,
-                         .luma = { 0.2126f, 0.7152f, 0.0722f } };
-    if (channels == 1)
-        memcpy(s->luma, (float[3]){ 1, 0, 0 }, sizeof(s->luma));
-    for (unsigned c = 0; c < channels; c++) {
-        s->plane[c] = calloc((size_t)w * h, sizeof(double));
-        s->out[c] = calloc((size_t)w * h, sizeof(double));
-        assert_non_null(s->plane[c]);
-        assert_non_null(s->out[c]);
-    }
-}
-
-static void scene_finish(struct scene *s)
-{
-    for (unsigned c = 0; c < s->channels; c++) {
-        free(s->plane[c]);
-        free(s->out[c]);
-    }
-    frame_scan_finish(&s->scan);
-}
-
-// Dark ground with noise, some lamps over five decades, a bright block that touches a corner.
-static void scene_fill(struct scene *s)
-{
-    for (unsigned c = 0; c < s->channels; c++)
-        for (size_t i = 0; i < (size_t)s->width * s->height; i++)
-            s->plane[c][i] = 0.9 * uniform();
-    const unsigned lamps = 3 + s->width * s->height / 400;
-    for (unsigned i = 0; i < lamps; i++) {
-        const size_t at = (size_t)(uniform() * s->width * s->height);
-        const double v = pow(10, 4.5 * uniform());
-        for (unsigned c = 0; c < s->channels; c++)
-            s->plane[c][at] = v * (0.2 + uniform());
-    }
-    for (unsigned y = 0; y < s->height && y < 5; y++)
-        for (unsigned x = 0; x < s->width && x < 9; x++)
-            s->plane[0][(size_t)y * s->width + x] = 40;
-}
-
-static void put(struct scene *s, unsigned c, unsigned y)
-{
-    uint8_t *row = planes_row(&s->in_planes, c, y);
-    memset(row, 0, s->in_planes.pitch_bytes);
-    double *v = s->plane[c] + (size_t)y * s->width;
-    for (unsigned x = 0; x < s->width; x++) {
-        float f = (float)v[x];
-        if (s->type == PIXEL_TYPE_HALF) {
-            uint16_t h;
-            float_to_half(&h, &f, 1);
-            memcpy(row + 2 * x, &h, 2);
-            half_to_float(&f, &h, 1);
-        } else {
-            memcpy(row + 4 * x, &f, 4);
-        }
-        v[x] = f;
-    }
-}
-
-static void get(struct scene *s, unsigned c, unsigned y)
-{
-    const uint8_t *row = planes_row(&s->out_planes, c, y);
-    for (unsigned x = 0; x < s->width; x++) {
-        float f;
-        if (s->type == PIXEL_TYPE_HALF) {
-            uint16_t h;
-            memcpy(&h, row + 2 * x, 2);
-            half_to_float(&f, &h, 1);
-        } else {
-            memcpy(&f, row + 4 * x, 4);
-        }
-        s->out[c][(size_t)y * s->width + x] = f;
-    }
-}
-
-static void scene_load(struct scene *s, struct bloom *b, unsigned slot)
-{
-    const struct bloom_geometry g = { s->width, s->height, s->channels, s->type, 0, 1 };
-    struct fault f = { 0 };
-    if (bloom_slot_prepare(b, bloom_slot(b, slot), 1, &g, &s->in_planes, &s->out_planes, &f) < 0)
-        fail_msg("%s", f.text);
-    frame_scan_finish(&s->scan);
-    assert_int_equal(frame_scan_init(&s->scan, s->width, s->height), 0);
-    for (unsigned y = 0; y < s->height; y++) {
-        for (unsigned c = 0; c < s->channels; c++)
-            put(s, c, y);
-        frame_scan_row(&s->scan, &s->in_planes, y, s->luma);
-    }
-}
-
-static void scene_run_in(struct scene *s, const struct params *p, struct bloom *b, unsigned slot)
-{
-    scene_load(s, b, slot);
-    struct bloom_request r = { .params = p, .scan = &s->scan, .pixel_aspect = (float)s->aspect };
-    memcpy(r.luma, s->luma, sizeof(r.luma));
-    struct fault f = { 0 };
-    if (bloom_run(b, bloom_slot(b, slot), 0, &r, &s->reply, &f) < 0)
-        fail_msg("%s: %s", f.field, f.text);
-    if (s->reply.untouched)
-        s->out_planes = s->in_planes;
-    for (unsigned c = 0; c < s->channels; c++)
-        for (unsigned y = 0; y < s->height; y++)
-            get(s, c, y);
-}
-
-static void scene_run(struct scene *s, const struct params *p) { scene_run_in(s, p, engine, 0); }
-
-// What the output type itself rounds off: half an ulp of the pixel.
-static double quantum(enum pixel_type type, double v)
-{
-    return type == PIXEL_TYPE_HALF ? fmax(ldexp(fabs(v), -11), 0x1p-25) : fmax(ldexp(fabs(v), -24), 0x1p-149);
-}
-
-/* Every pixel within the stated bound. Prints the worst. Returns the worst error over the bound. */
-static double scene_check(struct scene *s, const struct params *p, const char *what)
-{
-    const struct reference_frame rf = { .width = s->width, .height = s->height, .channels = s->channels,
-                                        .plane = { s->plane[0], s->plane[1], s->plane[2] },
-                                        .luma = { s->luma[0], s->luma[1], s->luma[2] },
-                                        .pixel_aspect = s->aspect };
-    struct reference_result ref;
-    assert_int_equal(reference_bloom(&ref, &rf, p), 0);
-    const double scale = p->intensity * ref.max_bright;
-    double worst = 0, worst_error = 0;
-    unsigned wx = 0, wy = 0, wc = 0;
-    for (unsigned c = 0; c < s->channels; c++)
-        for (size_t i = 0; i < (size_t)s->width * s->height; i++) {
-            double want = ref.out[c][i];
-            if (!isfinite(want) && (want == s->out[c][i] || (isnan(want) && isnan(s->out[c][i]))))
-                continue;
-            if (s->type == PIXEL_TYPE_HALF && isfinite(want))
-                want = fmin(want, 65504);
-            const double e = fabs(s->out[c][i] - want);
-            const double room = s->reply.error_bound * scale + quantum(s->type, want);
-            if (!(e / room <= worst)) {
-                worst = e / room;
-                worst_error = e;
-                wx = (unsigned)(i % s->width);
-                wy = (unsigned)(i / s->width);
-                wc = c;
-            }
-        }
-    print_message("%-34s %4ux%-4u %s bound %.2e error/bound %.3f error %.2e of max E %.3g at %u,%u,%u (%s)\n", what,
-                  s->width, s->height, s->type == PIXEL_TYPE_HALF ? "half " : "float", s->reply.error_bound, worst,
-                  worst_error / (scale > 0 ? scale : 1), ref.max_bright, wx, wy, wc, s->reply.plan);
-    if (!(worst <= 1))
-        fail_msg("%s: pixel %u,%u,%u is %.9g, %.9g expected, bound %.3g", what, wx, wy, wc,
-                 s->out[wc][(size_t)wy * s->width + wx], ref.out[wc][(size_t)wy * s->width + wx],
-                 s->reply.error_bound * scale);
-    if (!s->reply.untouched && ref.energy_bright > 0) {
-        // Sums over float32 pyramids: a few 1e-6; the spread's own share is the bound's.
-        const double near = 1e-5 * ref.energy_bright * (1 + p->intensity);
-        const double room = near + s->reply.error_bound * p->intensity * ref.energy_bright;
-        assert_true(fabs(s->reply.energy_bright - ref.energy_bright) <= near);
-        if (!(fabs(s->reply.energy_lost - ref.energy_lost) <= room))
-            fail_msg("%s: lost %.9g, %.9g expected", what, s->reply.energy_lost, ref.energy_lost);
-        assert_true(fabs(s->reply.energy_bloomed - ref.energy_bloomed) <= room);
-        assert_true(s->reply.max_bright >= ref.max_bright);
-    }
-    reference_free(&ref);
-    return worst;
-}
-
-static struct params params_with(const char *psf, enum bright_curve curve, double tolerance)
-{
-    struct params p;
-    struct fault f;
-    params_init(&p);
-    if (params_set_text(&p, "psf", psf, &f) < 0)
-        fail_msg("%s", f.text);
-    p.bright = curve;
-    p.tolerance = tolerance;
-    p.threshold = 1;
-    p.knee = 0.5;
-    p.intensity = 1;
-    return p;
-}
 
 static void test_sigmas_and_rules(void **state)
 {
@@ -236,11 +34,11 @@ static void test_sigmas_and_rules(void **state)
             char psf[64], what[64];
             snprintf(psf, sizeof(psf), "gaussians:sigma=%g,weight=1", sigmas[i]);
             snprintf(what, sizeof(what), "sigma %g tolerance %g", sigmas[i], tolerances[t]);
-            struct params p = params_with(psf, BRIGHT_CHANNEL, tolerances[t]);
+            struct params p = scene_params(psf, BRIGHT_CHANNEL, tolerances[t]);
             struct scene s;
             scene_init(&s, 181, 133, 3, PIXEL_TYPE_FLOAT);
             scene_fill(&s);
-            scene_run(&s, &p);
+            scene_run(&s, &p, engine, 0);
             assert_true(s.reply.error_bound <= tolerances[t] * 1.01 + 1e-5);
             scene_check(&s, &p, what);
             scene_finish(&s);
@@ -254,12 +52,12 @@ static void test_curves_and_types(void **state)
     for (int curve = BRIGHT_NONE; curve <= BRIGHT_SMOOTHSTEP; curve++)
         for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++)
             for (unsigned channels = 1; channels <= 3; channels += 2) {
-                struct params p = params_with("gaussians:sigma=4/9,weight=.3/.2", (enum bright_curve)curve, 1e-3);
+                struct params p = scene_params("gaussians:sigma=4/9,weight=.3/.2", (enum bright_curve)curve, 1e-3);
                 p.exposure = curve == BRIGHT_KNEE ? 1 : 0;
                 struct scene s;
                 scene_init(&s, 75, 50, channels, (enum pixel_type)type);
                 scene_fill(&s);
-                scene_run(&s, &p);
+                scene_run(&s, &p, engine, 0);
                 scene_check(&s, &p, names[curve]);
                 scene_finish(&s);
             }
@@ -273,14 +71,14 @@ static void test_sizes(void **state)
                                          { 64, 64 }, { 127, 31 }, { 128, 3 }, { 257, 66 } };
     for (unsigned i = 0; i < sizeof(sizes) / sizeof(sizes[0]); i++)
         for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++) {
-            struct params p = params_with("gaussians:sigma=1.8/4/11/40,weight=.2/.2/.2/.4", BRIGHT_KNEE, 1e-3);
+            struct params p = scene_params("gaussians:sigma=1.8/4/11/40,weight=.2/.2/.2/.4", BRIGHT_KNEE, 1e-3);
             struct scene s;
             scene_init(&s, sizes[i][0], sizes[i][1], 3, (enum pixel_type)type);
             scene_fill(&s);
-            scene_run(&s, &p);
+            scene_run(&s, &p, engine, 0);
             scene_check(&s, &p, "four sigmas");
-            p = params_with("gaussians:sigma=5/5.5/6/20,weight=.2/.2/.2/.4", BRIGHT_LUMINANCE, 1e-2);
-            scene_run(&s, &p);
+            p = scene_params("gaussians:sigma=5/5.5/6/20,weight=.2/.2/.2/.4", BRIGHT_LUMINANCE, 1e-2);
+            scene_run(&s, &p, engine, 0);
             scene_check(&s, &p, "same level");
             scene_finish(&s);
         }
@@ -291,12 +89,12 @@ static void test_aspect_and_percent(void **state)
     (void)state;
     static const double aspects[] = { 2.0, 0.5, 1.0926 };
     for (unsigned i = 0; i < 3; i++) {
-        struct params p = params_with("gaussians:sigma=2%/6%,weight=.5/.5", BRIGHT_KNEE, 1e-3);
+        struct params p = scene_params("gaussians:sigma=2%/6%,weight=.5/.5", BRIGHT_KNEE, 1e-3);
         struct scene s;
         scene_init(&s, 120, 90, 3, PIXEL_TYPE_FLOAT);
         s.aspect = aspects[i];
         scene_fill(&s);
-        scene_run(&s, &p);
+        scene_run(&s, &p, engine, 0);
         scene_check(&s, &p, "pixel aspect");
         scene_finish(&s);
     }
@@ -306,20 +104,20 @@ static void test_aspect_and_percent(void **state)
 static void test_dark_frame_is_untouched(void **state)
 {
     (void)state;
-    struct params p = params_with("gaussians:sigma=4,weight=1", BRIGHT_KNEE, 1e-3);
+    struct params p = scene_params("gaussians:sigma=4,weight=1", BRIGHT_KNEE, 1e-3);
     p.threshold = 2;
     struct scene s;
     scene_init(&s, 64, 40, 3, PIXEL_TYPE_HALF);
-    scene_run(&s, &p);
+    scene_run(&s, &p, engine, 0);
     assert_true(s.reply.untouched);
     for (size_t i = 0; i < 64 * 40; i++)
         s.plane[1][i] = 1.5;
-    scene_run(&s, &p);
+    scene_run(&s, &p, engine, 0);
     assert_true(s.reply.untouched);
     // The knee's very end: L = T - K glows nothing, one ulp more does.
     for (unsigned c = 0; c < 3; c++)
         s.plane[c][7] = 1.6;
-    scene_run(&s, &p);
+    scene_run(&s, &p, engine, 0);
     assert_false(s.reply.untouched);
     scene_finish(&s);
 }
@@ -329,22 +127,22 @@ static void test_impulse(void **state)
 {
     (void)state;
     for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++) {
-        struct params p = params_with("gaussians:sigma=4/8,weight=.5/.5", BRIGHT_CHANNEL, 1e-3);
+        struct params p = scene_params("gaussians:sigma=4/8,weight=.5/.5", BRIGHT_CHANNEL, 1e-3);
         struct scene s;
         scene_init(&s, 301, 201, 3, (enum pixel_type)type);
         for (unsigned c = 0; c < 3; c++)
             for (size_t i = 0; i < 301 * 201; i++)
                 s.plane[c][i] = -1e-6 + 2e-7 * (double)(i % 11);
         s.plane[1][100 * 301 + 150] = type == PIXEL_TYPE_HALF ? 6e4 : 1e6;
-        scene_run(&s, &p);
+        scene_run(&s, &p, engine, 0);
         scene_check(&s, &p, "impulse");
         unsigned kept = 0;
         for (unsigned y = 0; y < 201; y++)
             for (unsigned x = 0; x < 301; x++) {
                 const size_t i = (size_t)y * 301 + x;
-                assert_true(s.out[1][i] >= s.plane[1][i]);
-                assert_true(s.out[0][i] == s.plane[0][i] && s.out[2][i] == s.plane[2][i]);
-                kept += s.out[1][i] == s.plane[1][i];
+                assert_true(s.out[0][1][i] >= s.plane[1][i]);
+                assert_true(s.out[0][0][i] == s.plane[0][i] && s.out[0][2][i] == s.plane[2][i]);
+                kept += s.out[0][1][i] == s.plane[1][i];
             }
         assert_true(kept > 301 * 201 / 2);
         scene_finish(&s);
@@ -357,7 +155,7 @@ static void test_nonfinite(void **state)
     (void)state;
     for (int policy = NONFINITE_KEEP; policy <= NONFINITE_ZERO; policy++)
         for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++) {
-            struct params p = params_with("gaussians:sigma=2/6,weight=.5/.5", BRIGHT_KNEE, 1e-3);
+            struct params p = scene_params("gaussians:sigma=2/6,weight=.5/.5", BRIGHT_KNEE, 1e-3);
             p.nonfinite = policy;
             struct scene s;
             scene_init(&s, 90, 60, 3, (enum pixel_type)type);
@@ -366,16 +164,16 @@ static void test_nonfinite(void **state)
             s.plane[1][20 * 90 + 80] = INFINITY;
             s.plane[2][20 * 90 + 81] = -INFINITY;
             s.plane[2][30 * 90 + 31] = -3;
-            scene_run(&s, &p);
+            scene_run(&s, &p, engine, 0);
             scene_check(&s, &p, policy == NONFINITE_KEEP ? "nonfinite keep" : "nonfinite zero");
             if (policy == NONFINITE_KEEP)
-                assert_true(isnan(s.out[0][45 * 90 + 10]) && s.out[1][20 * 90 + 80] == INFINITY);
+                assert_true(isnan(s.out[0][0][45 * 90 + 10]) && s.out[0][1][20 * 90 + 80] == INFINITY);
             // Zeroing pixels of a frame that glows nowhere.
             p.threshold = 1e9;
-            scene_run(&s, &p);
+            scene_run(&s, &p, engine, 0);
             assert_int_equal(s.reply.untouched, policy == NONFINITE_KEEP);
             assert_true(isfinite(s.reply.error_bound) && s.reply.energy_bright == 0);
-            assert_true(policy == NONFINITE_KEEP ? isnan(s.out[0][45 * 90 + 10]) : s.out[0][45 * 90 + 10] == 0);
+            assert_true(policy == NONFINITE_KEEP ? isnan(s.out[0][0][45 * 90 + 10]) : s.out[0][0][45 * 90 + 10] == 0);
             scene_finish(&s);
         }
 }
@@ -384,37 +182,37 @@ static void test_nonfinite(void **state)
 static void test_extremes(void **state)
 {
     (void)state;
-    struct params p = params_with("gaussians:sigma=3/7,weight=.5/.5", BRIGHT_NONE, 1e-3);
+    struct params p = scene_params("gaussians:sigma=3/7,weight=.5/.5", BRIGHT_NONE, 1e-3);
     struct scene s;
     scene_init(&s, 60, 44, 3, PIXEL_TYPE_FLOAT);
     for (unsigned c = 0; c < 3; c++)
         for (size_t i = 0; i < 60 * 44; i++)
-            s.plane[c][i] = pow(10, -44 + 8 * uniform());
-    scene_run(&s, &p);
+            s.plane[c][i] = pow(10, -44 + 8 * scene_uniform());
+    scene_run(&s, &p, engine, 0);
     for (unsigned c = 0; c < 3; c++)
         for (size_t i = 0; i < 60 * 44; i++)
-            assert_true(isfinite(s.out[c][i]) && s.out[c][i] >= s.plane[c][i] && s.out[c][i] < 1e-34);
+            assert_true(isfinite(s.out[0][c][i]) && s.out[0][c][i] >= s.plane[c][i] && s.out[0][c][i] < 1e-34);
     for (int curve = BRIGHT_NONE; curve <= BRIGHT_SMOOTHSTEP; curve++) {
         p.bright = curve;
         for (unsigned c = 0; c < 3; c++)
             for (size_t i = 0; i < 60 * 44; i++)
                 s.plane[c][i] = i % 7 ? 1.7e38 : 3e38;
-        scene_run(&s, &p);
+        scene_run(&s, &p, engine, 0);
         for (unsigned c = 0; c < 3; c++)
             for (size_t i = 0; i < 60 * 44; i++)
-                assert_true(isfinite(s.out[c][i]));
+                assert_true(isfinite(s.out[0][c][i]));
     }
     scene_finish(&s);
 
-    p = params_with("gaussians:sigma=3/7,weight=1/1", BRIGHT_NONE, 1e-3);
+    p = scene_params("gaussians:sigma=3/7,weight=1/1", BRIGHT_NONE, 1e-3);
     scene_init(&s, 60, 44, 3, PIXEL_TYPE_HALF);
     for (unsigned c = 0; c < 3; c++)
         for (size_t i = 0; i < 60 * 44; i++)
             s.plane[c][i] = 65504;
-    scene_run(&s, &p);
+    scene_run(&s, &p, engine, 0);
     for (unsigned c = 0; c < 3; c++)
         for (size_t i = 0; i < 60 * 44; i++)
-            assert_true(s.out[c][i] == 65504);
+            assert_true(s.out[0][c][i] == 65504);
     scene_finish(&s);
 }
 
@@ -422,7 +220,7 @@ static void test_extremes(void **state)
 static void test_all_halfs_keep_their_bits(void **state)
 {
     (void)state;
-    struct params p = params_with("gaussians:sigma=1.8,weight=1", BRIGHT_CHANNEL, 1e-3);
+    struct params p = scene_params("gaussians:sigma=1.8,weight=1", BRIGHT_CHANNEL, 1e-3);
     p.threshold = 66000;
     struct scene s;
     scene_init(&s, 256, 300, 1, PIXEL_TYPE_HALF);
@@ -430,12 +228,12 @@ static void test_all_halfs_keep_their_bits(void **state)
     for (unsigned y = 0; y < 256; y++)
         for (unsigned x = 0; x < 256; x++) {
             const uint16_t h = (uint16_t)(y * 256 + x);
-            memcpy(planes_row(&s.in_planes, 0, y) + 2 * x, &h, 2);
+            memcpy(planes_row(&s.in_planes[0], 0, y) + 2 * x, &h, 2);
         }
     frame_scan_finish(&s.scan);
     assert_int_equal(frame_scan_init(&s.scan, 256, 300), 0);
     for (unsigned y = 0; y < 300; y++)
-        frame_scan_row(&s.scan, &s.in_planes, y, s.luma);
+        frame_scan_row(&s.scan, &s.in_planes[0], y, s.luma);
     struct bloom_request r = { .params = &p, .scan = &s.scan, .luma = { 1, 0, 0 }, .pixel_aspect = 1 };
     struct fault f = { 0 };
     assert_int_equal(bloom_run(engine, bloom_slot(engine, 0), 0, &r, &s.reply, &f), 0);
@@ -447,7 +245,7 @@ static void test_all_halfs_keep_their_bits(void **state)
     unsigned same = 0;
     for (unsigned y = 0; y < 256; y++)
         for (unsigned x = 0; x < 256; x++)
-            same += !memcmp(planes_row(&s.in_planes, 0, y) + 2 * x, planes_row(&s.out_planes, 0, y) + 2 * x, 2);
+            same += !memcmp(planes_row(&s.in_planes[0], 0, y) + 2 * x, planes_row(&s.out_planes[0], 0, y) + 2 * x, 2);
     print_message("halfs with their bits: %u of 65536\n", same);
     assert_true(same > 65536 - 64 * 64);
     scene_finish(&s);
@@ -458,15 +256,15 @@ static void copy_out(const struct scene *s, uint8_t *to)
     const size_t row = (size_t)s->width * pixel_bytes(s->type);
     for (unsigned c = 0; c < s->channels; c++)
         for (unsigned y = 0; y < s->height; y++, to += row)
-            memcpy(to, planes_row(&s->out_planes, c, y), row);
+            memcpy(to, planes_row(&s->out_planes[0], c, y), row);
 }
 
 // Same request, same device: same bytes, whatever ran before, in whichever slot, staged or not.
 static void test_same_bytes(void **state)
 {
     (void)state;
-    struct params p = params_with("gaussians:sigma=2/4/8,weight=.2/.3/.4", BRIGHT_KNEE, 1e-3);
-    struct params other = params_with("gaussians:sigma=30,weight=.2", BRIGHT_NONE, 1e-2);
+    struct params p = scene_params("gaussians:sigma=2/4/8,weight=.2/.3/.4", BRIGHT_KNEE, 1e-3);
+    struct params other = scene_params("gaussians:sigma=30,weight=.2", BRIGHT_NONE, 1e-2);
     struct scene s, o;
     scene_init(&s, 150, 99, 3, PIXEL_TYPE_FLOAT);
     scene_fill(&s);
@@ -476,10 +274,10 @@ static void test_same_bytes(void **state)
     uint8_t *first = malloc(bytes), *again = malloc(bytes);
     assert_non_null(first);
     assert_non_null(again);
-    scene_run(&s, &p);
+    scene_run(&s, &p, engine, 0);
     copy_out(&s, first);
-    scene_run_in(&o, &other, engine, 1);
-    scene_run_in(&s, &p, engine, 1);
+    scene_run(&o, &other, engine, 1);
+    scene_run(&s, &p, engine, 1);
     copy_out(&s, again);
     assert_memory_equal(first, again, bytes);
 
@@ -488,7 +286,7 @@ static void test_same_bytes(void **state)
     const struct bloom_options options = { .slots = 1, .staged = true, .validate = validate, .log = log_line };
     if (bloom_create(&staged, &options, &f) < 0)
         fail_msg("%s", f.text);
-    scene_run_in(&s, &p, staged, 0);
+    scene_run(&s, &p, staged, 0);
     copy_out(&s, again);
     assert_memory_equal(first, again, bytes);
     assert_int_equal(bloom_validation_messages(staged), 0);
@@ -503,7 +301,7 @@ static void test_same_bytes(void **state)
 static void test_mirror(void **state)
 {
     (void)state;
-    struct params p = params_with("gaussians:sigma=4/16,weight=.5/.5", BRIGHT_CHANNEL, 1e-3);
+    struct params p = scene_params("gaussians:sigma=4/16,weight=.5/.5", BRIGHT_CHANNEL, 1e-3);
     struct scene s, m;
     // A multiple of 2^levels: then mirroring maps cells onto cells.
     scene_init(&s, 128, 96, 1, PIXEL_TYPE_FLOAT);
@@ -512,12 +310,12 @@ static void test_mirror(void **state)
     for (unsigned y = 0; y < 96; y++)
         for (unsigned x = 0; x < 128; x++)
             m.plane[0][(95 - y) * 128 + 127 - x] = s.plane[0][y * 128 + x];
-    scene_run(&s, &p);
-    scene_run(&m, &p);
+    scene_run(&s, &p, engine, 0);
+    scene_run(&m, &p, engine, 0);
     double worst = 0;
     for (unsigned y = 0; y < 96; y++)
         for (unsigned x = 0; x < 128; x++) {
-            const double a = s.out[0][y * 128 + x], b = m.out[0][(95 - y) * 128 + 127 - x];
+            const double a = s.out[0][0][y * 128 + x], b = m.out[0][0][(95 - y) * 128 + 127 - x];
             worst = fmax(worst, fabs(a - b) / a);
         }
     print_message("mirror: worst relative difference %.2e\n", worst);

@@ -22,7 +22,8 @@ static struct plan make(const char *psf, double tolerance, uint32_t w, uint32_t 
     if (params_set_text(&p, "psf", psf, &f) < 0)
         fail_msg("%s", f.text);
     p.tolerance = tolerance;
-    if (plan_make(&plan, &p, w, h, aspect, &f) < 0)
+    const struct plan_facts facts = { w, h, w, 3, aspect, -1 };
+    if (plan_make(&plan, &p, tolerance, &facts, &f) < 0)
         fail_msg("%s", f.text);
     return plan;
 }
@@ -87,7 +88,8 @@ static void test_sizes(void **state)
     struct fault f = { 0 };
     params_init(&q);
     assert_int_equal(params_set_text(&q, "psf", "gaussians:sigma=99%,weight=1", &f), 0);
-    assert_int_equal(plan_make(&plan, &q, 16384, 16384, 1, &f), -1);
+    const struct plan_facts facts = { 16384, 16384, 16384, 3, 1, -1 };
+    assert_int_equal(plan_make(&plan, &q, 1e-3, &facts, &f), -1);
     assert_int_equal(f.code, FAULT_PARAM_RANGE);
     assert_string_equal(f.field, "params.psf");
 }

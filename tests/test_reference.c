@@ -1,56 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// test_reference.c - the reference against closed forms. It is the judge of everything else, so nothing
-// here uses its own parts to check it: expected values are worked out anew, in place.
-#include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
+// test_reference.c - the bright pass and the spread of the reference against closed forms (test_reference_pipeline.c
+// has the rest). It is the judge of everything else, so nothing here uses its own parts to check it: expected values are
+// worked out anew, in place.
 #include <time.h>
 
-#include <cmocka.h>
-
-#include "reference/reference.h"
-
-static const double rec709[3] = { .2126, .7152, .0722 };
-
-static struct params asked(const char *bright, double threshold, double knee, const char *psf)
-{
-    struct params p;
-    params_init(&p);
-    assert_int_equal(params_set_text(&p, "bright", bright, NULL), 0);
-    assert_int_equal(params_set_number(&p, "threshold", threshold, NULL), 0);
-    assert_int_equal(params_set_number(&p, "knee", knee, NULL), 0);
-    assert_int_equal(params_set_number(&p, "intensity", 1, NULL), 0);
-    assert_int_equal(params_set_text(&p, "psf", psf, NULL), 0);
-    return p;
-}
-
-static struct reference_frame frame_of(const double *plane, unsigned w, unsigned h)
-{
-    return (struct reference_frame){
-        .width = w, .height = h, .channels = 1, .plane = { plane }, .pixel_aspect = 1
-    };
-}
-
-static void near_to(double got, double wanted, double relative, const char *what)
-{
-    if (!(fabs(got - wanted) <= relative * fabs(wanted)))
-        fail_msg("%s: %.17g, wanted %.17g", what, got, wanted);
-}
-
-static double bright_y(const struct params *p, double v)
-{
-    double e[3], pixel[3] = { v };
-    reference_bright(e, pixel, 1, NULL, p);
-    return e[0];
-}
+#include "by_hand.h"
 
 /* ---- bright pass -----------------------------------------------------------------------------------
  */
 
+static const double rec709[3] = { .2126, .7152, .0722 };
 static const char psf_one[] = "gaussians:sigma=2,weight=1";
 
 static void test_curve_values(void **state)
@@ -146,16 +105,6 @@ static void test_curve_shape(void **state)
 /* ---- spread ------------------------------------------------------------------------------------------
  */
 
-static double gaussian(long n, double sigma) { return exp(-(double)(n * n) / (2 * sigma * sigma)); }
-
-static double gaussian_sum(double sigma)
-{
-    double sum = 1;
-    for (long n = 1; n < 40 * sigma + 40; n++)
-        sum += 2 * gaussian(n, sigma);
-    return sum;
-}
-
 static void test_delta(void **state)
 {
     (void)state;
@@ -214,24 +163,6 @@ static void test_flat(void **state)
     near_to(r.energy_bloomed + r.energy_lost, 2.35 * 3 * N * N, 1e-13, "energy");
     reference_free(&r);
     free(in);
-}
-
-static uint64_t seed = 88172645463325252u;
-static double random_unit(void)
-{
-    seed ^= seed << 13;
-    seed ^= seed >> 7;
-    seed ^= seed << 17;
-    return (double)(seed >> 11) * 0x1p-53;
-}
-
-static double *random_plane(size_t n, double spread)
-{
-    double *v = malloc(n * sizeof(double));
-    assert_non_null(v);
-    for (size_t i = 0; i < n; i++)
-        v[i] = exp2((random_unit() - .5) * spread);
-    return v;
 }
 
 static void test_energy(void **state)
@@ -303,16 +234,27 @@ static void test_aspect(void **state)
     (void)state;
     struct reference_frame f = { .width = 400, .height = 300, .pixel_aspect = 1 };
     struct psf_gaussian pixels = { { 8, SIZE_PIXELS }, 1, { 1, 1, 1 } }, percent = { { 2, SIZE_PERCENT }, 1, { 1, 1, 1 } };
+    struct params p = asked("none", 0, 0, psf_one);
     double x, y;
-    reference_sigma(&x, &y, &percent, &f);
+    reference_sigma(&x, &y, &percent, &f, &p);
     near_to(x, 10, 1e-14, "x");
     near_to(y, 10, 1e-14, "y");
     f = (struct reference_frame){ .width = 200, .height = 300, .pixel_aspect = 2 };
-    reference_sigma(&x, &y, &percent, &f); /* the same picture */
+    reference_sigma(&x, &y, &percent, &f, &p); /* the same picture */
     near_to(x, 5, 1e-14, "x");
     near_to(y, 10, 1e-14, "y");
-    reference_sigma(&x, &y, &pixels, &f);
+    reference_sigma(&x, &y, &pixels, &f, &p);
     assert_true(x == 4 && y == 8);
+    /* 1 mm of 36 on 1800 pixels, each twice as wide as high: 50 pixels across, 100 pixel heights. */
+    struct psf_gaussian mm = { { 1, SIZE_MM }, 1, { 1, 1, 1 } };
+    f.display_width = 1800;
+    reference_sigma(&x, &y, &mm, &f, &p);
+    near_to(x, 50, 1e-14, "mm, x");
+    near_to(y, 100, 1e-14, "mm, y");
+    f.display_width = 0;
+    p.sensor_mm = 18;
+    reference_sigma(&x, &y, &mm, &f, &p);
+    near_to(y, 2 * 200 / 18., 1e-14, "mm of the frame itself");
 }
 
 static void test_nonfinite(void **state)

@@ -41,7 +41,8 @@ static void job_init(struct point_job *j, struct bench *b, double sigma, double 
     j->params.bright = BRIGHT_NONE;
     j->params.tolerance = tolerance;
     j->params.intensity = j->intensity;
-    if (plan_make(&j->plan, &j->params, 4096, 4096, 1, &f) < 0)
+    const struct plan_facts facts = { 4096, 4096, 4096, 1, 1, -1 };
+    if (plan_make(&j->plan, &j->params, tolerance, &facts, &f) < 0)
         die("%s: %s", f.field, f.text);
     long reach = (long)ceil(5.5 * sigma) + 8;
     j->period = 1L << j->plan.levels;

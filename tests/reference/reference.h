@@ -7,6 +7,8 @@
  * Input: 1 or 3 planes of width x height doubles, row after row, no padding: the layer I of METHODS. Beside it, when
  * given: a source S of the same shape, a matte M of one plane, a dirt image D. "sanitised" v is v when finite and > 0, else 0.
  *
+ * Only psfs that are sums of Gaussians; the others are test_convolve's.
+ *
  * 1. SANITISE. For the glow a NaN, an Inf or a negative sample counts as 0: it alone, not its pixel. The
  *    output sample of a nonfinite input sample is that sample, unchanged (keep), or 0 + glow (zero), or
  *    the frame is refused (reject: reference_bloom returns -1). Finite negatives stay in the output,
@@ -55,6 +57,8 @@
  *
  * 6. COMPOSITE, k = intensity. add: out = I' + k B. mix: out = I' + k (B - E). screen-add: out = tone(I') + k B, then what follows the tone
  *    map. bloom=off: out = I'... with no matte, I; and B = E = 0.
+ *    Beyond the frame (GROW) I' and E are 0: out = k B there. Of a nonfinite sample's I' the 0 of "zero" is taken, and that of "keep" is
+ *    put back at the very end; so, with a display, it counts as 0 + glow in the saturation of its pixel's other channels.
  *    Nothing clamps. (What a HALF output does above 65504 is the
  *    encoder's business. Where B = 0 all over, out == I; the daemon hands on the very bits, as of -0.0.)
  *
@@ -68,7 +72,10 @@
  *
  * Energies are sums over all samples of all planes: input (finite samples as they are, negatives too),
  * bright (E), bloomed (intensity * B inside the frame), lost (intensity * B outside, worked out from the
- * taps that leave, not as a difference). bloomed + lost = intensity * sum of weights * bright.
+ * taps that leave, not as a difference). bloomed + lost = intensity * sum of weights * bright. Inside is the
+ * frame as it came, whatever grow; B before the dirt. With edge=fill lost is 0 and bloomed what is inside.
+ * suppressed: the E of the source without firefly less that with it, both without clamp; clamped: that less bright.
+ * So bright + clamped + suppressed is the E of neither. All of them but input are 0 with bloom=off.
  */
 #ifndef AIRY_REFERENCE_H
 #define AIRY_REFERENCE_H
@@ -81,32 +88,61 @@
 struct reference_frame {
     unsigned width, height;
     unsigned channels;      /* 1 or 3 */
-    const double *plane[3]; /* the caller's */
+    const double *plane[3]; /* the caller's, as are all pointers here */
     double luma[3];         /* of one plane: not looked at */
     double pixel_aspect;    /* > 0 */
+    /* What may stay 0. */
+    const double *source[3]; /* width x height, as many as channels; [0] NULL: I */
+    const double *matte;     /* width x height */
+    const double *dirt;      /* interleaved R G B */
+    unsigned dirt_width, dirt_height;
+    unsigned grow;          /* pixels; what params->grow_size comes to */
+    unsigned display_width; /* for sizes in mm; 0: width */
 };
 
 struct reference_result {
-    double *bright[3], *glow[3], *out[3]; /* E, B (without intensity), out; owned, width * height each */
+    unsigned width, height; /* the frame's + 2 grow; planes are owned, width * height, 0 beyond the frame */
+    double *scene[3];       /* I', nonfinite samples by the policy */
+    double *bright[3], *glow[3], *out[3]; /* E, B (dirt in it, without intensity), view final */
     double max_bright;                    /* largest E */
-    double energy_input, energy_bright, energy_bloomed, energy_lost;
+    double energy_input, energy_bright, energy_bloomed, energy_lost, energy_clamped, energy_suppressed;
+    double exposure;        /* EV in use */
     double threshold, knee; /* T and K' (smoothstep: K) in use */
 };
 
-/* 0, or -1: no memory, or nonfinite=reject and the frame has NaN or Inf. *r is reference_free's then,
- * too. */
+/* 0, or -1: no memory, a psf that is no sum of Gaussians, or nonfinite=reject and the frame has NaN or Inf. *r is
+ * reference_free's then, too. */
 int reference_bloom(struct reference_result *r, const struct reference_frame *f, const struct params *p);
 void reference_free(struct reference_result *r);
+/* A view of what reference_bloom made of the same f and p, into out[channels] of r's size. 0 or -1 (no memory, no such
+ * Gaussian). */
+int reference_view(double *const out[3], const struct reference_result *r, const struct reference_frame *f,
+                   const struct params *p, const struct view_spec *view);
 
-/* Steps on their own, for tests of one pass. */
+/* Steps on their own, for tests of one pass. In these exposure=auto counts as exposure. */
 void reference_bright(double e[3], const double pixel[3], unsigned channels, const double luma[3],
                       const struct params *p);
+/* EV. near_edges (may be NULL): pixels within 1e-6 of the edge of a bin, in log2 L. */
+double reference_exposure(const struct reference_frame *f, const struct params *p, size_t *near_edges);
+/* Sections 6 and 7 for one pixel of finite samples. Each result rises with its own glow and moves one way with another's, so a
+ * box of glows has its extremes at corners (when no luma weight is above 1 or below 0). */
+void reference_final(double out[3], const double scene[3], const double bright[3], const double glow[3],
+                     unsigned channels, const double luma[3], const struct params *p);
 /* sigma of Gaussian i along x and y, in pixels. */
-void reference_sigma(double *x, double *y, const struct psf_gaussian *g,
-                     const struct reference_frame *f);
-/* Adds weight * (G * in) to out. Both width * height; out is not in. 0 or -1 (no memory). */
-int reference_spread(double *out, const double *in, unsigned width, unsigned height, double sigma_x,
-                     double sigma_y, double weight);
+void reference_sigma(double *x, double *y, const struct psf_gaussian *g, const struct reference_frame *f,
+                     const struct params *p);
+/* Its weight with tint and gain, for channel c. */
+double reference_weight(const struct reference_frame *f, const struct params *p, unsigned gaussian, unsigned c);
+
+struct reference_kernel {
+    double sigma_x, sigma_y, weight;
+    enum edge edge;
+    unsigned grow;
+};
+/* Adds weight * (G * in) to out, of (width + 2 grow) x (height + 2 grow). in: width x height, rows in_stride apart; out is not in.
+ * 0 or -1 (no memory). */
+int reference_spread(double *out, const double *in, size_t in_stride, unsigned width, unsigned height,
+                     const struct reference_kernel *k);
 
 /* The worst difference of two planes, for messages. at: y * width + x of it. */
 double reference_worst(const double *a, const double *b, size_t n, size_t *at);

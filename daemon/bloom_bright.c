@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: Apache-2.0
+// bloom_bright.c - what glows in a frame, from its scan alone: an upper bound of E in every tile, so that dark frames and dark
+// tiles are known before the device is asked. Twin of shaders/curve.glsl and extract.frag.
+#include <math.h>
+#include <string.h>
+
+#include "bloom_internal.h"
+
+/* The curve's gain at luminance l: monotone, so it bounds a frame, and a tile, from its largest l. */
+static double gain_at(const struct frame *fr, double l)
+{
+    const double t = fr->threshold, k = fr->knee;
+    switch (fr->params->bright) {
+    case BRIGHT_NONE: return 1;
+    case BRIGHT_CHANNEL: return l > t ? (l - t) / l : 0;
+    case BRIGHT_LUMINANCE:
+    case BRIGHT_KNEE: {
+        const double s = fmin(fmax(l - t + k, 0), 2 * k);
+        return l > 0 ? fmax(k > 0 ? s * s / (4 * k) : 0, fmax(l - t, 0)) / l : 0;
+    }
+    default: {
+        const double lo = t - t * k, hi = t + t * k;
+        if (hi <= lo)
+            return l > t ? 1 : 0;
+        const double x = fmin(fmax((l - lo) / (hi - lo), 0), 1);
+        return x * x * (3 - 2 * x);
+    }
+    }
+}
+
+// An upper bound of E where luminance is at most l and every channel at most c. The device's float32 luminance
+// may be a few ulp above the scan's: widen before asking.
+static double bright_bound(const struct frame *fr, double l, double c)
+{
+    const double wide = 1 + 0x1p-20;
+    const double value = fr->params->bright == BRIGHT_CHANNEL ? c : l;
+    return c * gain_at(fr, value * wide) * wide;
+}
+
+static double of_bits(uint32_t bits)
+{
+    float v;
+    memcpy(&v, &bits, 4);
+    return (double)v;
+}
+
+// What the matte leaves of a tile's light, at most.
+static double matte_gain(const struct frame *fr, uint32_t tile)
+{
+    const struct frame_scan *m = fr->request->matte_scan;
+    return fr->matte ? of_bits(m->tile_channel[tile]) * fr->params->emission * (1 + 0x1p-20) : 1;
+}
+
+// clamp bounds the luminance, and so each channel by its weight.
+static double clamp_bound(const struct frame *fr)
+{
+    double most = fr->params->clamp > 0 ? 0 : INFINITY;
+    for (unsigned c = 0; c < fr->target->geometry.channels && most < INFINITY; c++) {
+        const double weight = fr->target->geometry.channels == 1 ? 1 : (double)fr->request->luma[c];
+        most = weight > 0 ? fmax(most, fr->params->clamp / weight * (1 + 0x1p-20)) : INFINITY;
+    }
+    return most;
+}
+
+void bright_count(const struct frame *fr, struct bloom_reply *reply)
+{
+    const struct frame_scan *s = fr->scan;
+    reply->tiles = s->tiles_x * s->tiles_y;
+    reply->max_bright = 0;
+    const double most = clamp_bound(fr);
+    for (uint32_t i = 0; i < reply->tiles && fr->params->bloom == SWITCH_ON; i++) {
+        const double gain = matte_gain(fr, i);
+        const double e = fmin(most, bright_bound(fr, of_bits(s->tile_luma[i]) * gain, of_bits(s->tile_channel[i]) * gain));
+        reply->tiles_bright += e > 0;
+        reply->max_bright = fmax(reply->max_bright, e);
+    }
+}
+
+void bright_set(struct frame *fr)
+{
+    const struct params *p = fr->params;
+    const double scale = exp2(-fr->exposure);
+    fr->threshold = (p->threshold_unit == UNIT_STOPS ? exp2(p->threshold) : p->threshold) * scale;
+    // METHODS section 1, step 4: the knee shrinks as T nears 0. For smoothstep it is a share of T.
+    fr->knee = p->bright == BRIGHT_SMOOTHSTEP  ? p->knee
+               : p->bright == BRIGHT_LUMINANCE ? 0
+                                               : fmin(p->knee * scale, fr->threshold);
+}
+
+// E is a difference: what the luminance, the threshold and their subtraction round off is a share of the
+// largest sample, which may be much more than the largest E.
+double bright_rounding(const struct frame *fr, const struct bloom_reply *reply)
+{
+    if (fr->params->bright == BRIGHT_NONE || reply->max_bright == 0)
+        return 0;
+    double gain = 1;
+    for (uint32_t i = 0; fr->matte && i < reply->tiles; i++)
+        gain = fmax(gain, matte_gain(fr, i));
+    return (fr->rich ? 16 : 8) * 0x1p-24 * frame_scan_max_channel(fr->scan) * gain / reply->max_bright;
+}

@@ -1,0 +1,408 @@
+// SPDX-License-Identifier: Apache-2.0
+// bloom_record.c - a frame's passes, in METHODS' order: bright pass, the pyramid, the Gaussians coarsest first, the pictures.
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "bloom_internal.h"
+
+struct pass_uniforms *pass_begin(struct frame *fr, struct vk_draw *d)
+{
+    struct bloom *b = fr->b;
+    assert(b->passes < PASSES_MAX);
+    b->pass_name[b->passes] = ((const struct named_pipeline *)(const void *)
+                                   ((const char *)d->pipeline - offsetof(struct named_pipeline, pipeline)))->name;
+    const VkDeviceSize offset = (VkDeviceSize)b->passes++ * UNIFORM_STRIDE;
+    d->uniforms = b->uniforms.buffer;
+    d->uniforms_offset = offset;
+    d->uniforms_bytes = sizeof(struct pass_uniforms);
+    struct pass_uniforms *u = (struct pass_uniforms *)(void *)(b->uniforms.memory.map + offset);
+    memset(u, 0, sizeof(*u));
+    const uint32_t grow = fr->target->geometry.grow;
+    u->frame[0] = (int32_t)fr->target->width;
+    u->frame[1] = (int32_t)fr->target->height;
+    u->mode[0] = (int32_t)fr->pad;
+    u->mode[1] = fr->params->nonfinite;
+    u->window[0] = u->window[1] = (int32_t)grow;
+    u->window[2] = (int32_t)(fr->target->width - grow);
+    u->window[3] = (int32_t)(fr->target->height - grow);
+    for (unsigned c = 0; c < 3; c++)
+        u->luma[c] = fr->request->luma[c];
+    u->luma[3] = (float)exp2(fr->exposure);
+    u->limit[0] = (float)fr->params->clamp;
+    u->limit[1] = (float)fr->params->firefly;
+    u->limit[2] = (float)fr->params->emission;
+    u->limit[3] = (float)fr->params->saturation;
+    return u;
+}
+
+// Differences are taken in double here: T - K must be 0 when K = T, not a rest of rounding.
+static void set_curve(const struct frame *fr, struct pass_uniforms *u)
+{
+    const bool smooth = fr->params->bright == BRIGHT_SMOOTHSTEP;
+    const double edge = fr->threshold, k = smooth ? edge * fr->knee : fr->knee;
+    u->bright[0] = (float)edge;
+    u->bright[1] = (float)(2 * k);
+    u->bright[2] = k > 0 ? (float)(1 / ((smooth ? 2 : 4) * k)) : 0;
+    u->bright[3] = (float)(edge - k);
+}
+
+static VkRect2D area_of(uint32_t width, uint32_t height) { return (VkRect2D){ { 0, 0 }, { width, height } }; }
+
+static void level_area(struct frame *fr, const struct level *v, struct vk_draw *d, struct pass_uniforms *u)
+{
+    u->frame[2] = (int32_t)v->groups;
+    d->area = area_of(v->texels, v->groups * fr->target->geometry.channels);
+}
+
+static void source(struct pass_uniforms *u, const struct level *v)
+{
+    u->src[0] = (int32_t)v->texels;
+    u->src[1] = (int32_t)v->groups;
+}
+
+static void added(struct pass_uniforms *u, const struct level *v)
+{
+    u->add[0] = (int32_t)v->texels;
+    u->add[1] = (int32_t)v->groups;
+}
+
+static void planes_of(const struct slot_target *t, struct vk_draw *d)
+{
+    for (unsigned c = 0; c < VK_PLANES; c++)
+        d->in[c] = (struct vk_image *)&t->in[c < t->geometry.channels ? c : 0];
+}
+
+static const char *type_of(const struct slot_target *t) { return t->geometry.type == PIXEL_TYPE_HALF ? "_half" : ""; }
+
+// Step 4, and with an order the first halving across.
+static int record_plain(struct frame *fr, unsigned order)
+{
+    struct targets *t = &fr->b->targets;
+    const struct params *p = fr->params;
+    struct vk_draw d = { .dst = &t->layered };
+    d.pipeline = pipeline_get(fr->b, fr->f, p->bright, "bright_o%u_c%u%s", order, t->shape.channels, type_of(fr->source));
+    if (!d.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &d);
+    set_curve(fr, u);
+    planes_of(fr->source, &d);
+    d.area = area_of(t->layered.width, t->layered.height);
+    vk_draw(&fr->b->commands, &d);
+    return 0;
+}
+
+// Steps 1 to 4 with all that may be asked for.
+static int record_extract(struct frame *fr, bool firefly, bool clamp)
+{
+    struct targets *t = &fr->b->targets;
+    const struct params *p = fr->params;
+    struct vk_draw d = { .dst = &t->layered };
+    int32_t features = p->bright;
+    features |= firefly && p->firefly > 0 ? 8 : 0;
+    features |= clamp && p->clamp > 0 ? 16 : 0;
+    features |= fr->matte ? 32 | (fr->matte->geometry.type == PIXEL_TYPE_HALF ? 64 : 0) : 0;
+    features |= fr->pad ? 128 : 0;
+    d.pipeline = pipeline_get(fr->b, fr->f, features, "extract_c%u%s", t->shape.channels, type_of(fr->source));
+    if (!d.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &d);
+    set_curve(fr, u);
+    planes_of(fr->source, &d);
+    d.matte = fr->matte ? &fr->matte->in[0] : &fr->source->in[0];
+    d.area = area_of(t->layered.width, t->layered.height);
+    vk_draw(&fr->b->commands, &d);
+    return 0;
+}
+
+// What a level-0 read of the layered image must know: its groups are of 2 rows.
+static void layered_source(const struct targets *t, struct pass_uniforms *u)
+{
+    u->src[0] = (int32_t)t->layered.width;
+    u->src[1] = (int32_t)t->layered_groups;
+}
+
+static int record_down(struct frame *fr, unsigned octave, unsigned order)
+{
+    struct targets *t = &fr->b->targets;
+    const char *kind = octave > 0 ? "" : t->shape.full_size ? "layered_" : "vertical_";
+    struct vk_draw d = { .src = octave ? &t->e[octave] : &t->layered, .dst = &t->e[octave + 1] };
+    d.pipeline = pipeline_get(fr->b, fr->f, 0, "down_%so%u", kind, order);
+    if (!d.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &d);
+    if (octave)
+        source(u, &t->level[octave]);
+    else
+        layered_source(t, u);
+    level_area(fr, &t->level[octave + 1], &d, u);
+    vk_draw(&fr->b->commands, &d);
+    return 0;
+}
+
+int record_bright(struct frame *fr, bool firefly, bool clamp)
+{
+    struct bloom *b = fr->b;
+    const struct plan *p = b->plan;
+    const bool fused = !b->targets.shape.full_size;
+    if ((fr->rich ? record_extract(fr, firefly, clamp) : record_plain(fr, fused ? p->order[0] : 0)) < 0)
+        return -1;
+    for (unsigned i = 0; i < b->targets.shape.octaves; i++)
+        if (record_down(fr, i, i < p->levels ? p->order[i] : 4) < 0)
+            return -1;
+    return 0;
+}
+
+static unsigned reach_of(const struct psf_taps *taps)
+{
+    static const unsigned reaches[] = { 1, 2, 3, 4, 6, 10 };
+    unsigned i = 0;
+    while (4 * reaches[i] < taps->half)
+        i++;
+    return reaches[i];
+}
+
+static void set_taps(struct pass_uniforms *u, const struct psf_taps *taps)
+{
+    for (unsigned k = 0; k <= taps->half; k++)
+        u->tap[k] = (float)taps->tap[k];
+}
+
+static int record_gaussian(struct frame *fr, const struct plan_gaussian *k, struct round *r)
+{
+    struct targets *t = &fr->b->targets;
+    const struct level *v = &t->level[k->level];
+    struct vk_draw h = { .src = k->level ? &t->e[k->level] : &t->layered, .dst = r->rows };
+    h.pipeline = pipeline_get(fr->b, fr->f, 0, "blur_h_%sr%u", k->level ? "" : "layered_", reach_of(&k->x));
+    struct vk_draw w = { .src = r->rows, .add = r->any ? r->sum : NULL, .dst = r->next };
+    w.pipeline = h.pipeline ? pipeline_get(fr->b, fr->f, 0, "blur_v_%sr%u", r->any ? "add_" : "", reach_of(&k->y))
+                            : NULL;
+    if (!w.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &h);
+    if (k->level)
+        source(u, v);
+    else
+        layered_source(t, u);
+    level_area(fr, v, &h, u);
+    set_taps(u, &k->x);
+    vk_draw(&fr->b->commands, &h);
+
+    u = pass_begin(fr, &w);
+    source(u, v);
+    added(u, v);
+    level_area(fr, v, &w, u);
+    set_taps(u, &k->y);
+    for (unsigned c = 0; c < 3; c++)
+        u->weight[c] = (float)k->weight[c];
+    vk_draw(&fr->b->commands, &w);
+    struct vk_image *free_now = r->sum;
+    r->sum = r->next;
+    r->next = free_now;
+    r->any = true;
+    return 0;
+}
+
+static int record_up(struct frame *fr, unsigned octave, struct round *r)
+{
+    struct targets *t = &fr->b->targets;
+    struct vk_draw d = { .add = r->sum, .dst = r->next };
+    d.pipeline = pipeline_get(fr->b, fr->f, 0, "up_o%u", fr->b->plan->order[octave]);
+    if (!d.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &d);
+    added(u, &t->level[octave + 1]);
+    level_area(fr, &t->level[octave], &d, u);
+    vk_draw(&fr->b->commands, &d);
+    struct vk_image *free_now = r->sum;
+    r->sum = r->next;
+    r->next = free_now;
+    return 0;
+}
+
+// Steps 5 and 6: the Gaussians of each level, coarsest first, each sum doubled into the next finer level.
+int record_spread(struct frame *fr, int only, struct round *r)
+{
+    const struct plan *p = fr->b->plan;
+    struct targets *t = &fr->b->targets;
+    const unsigned finest = t->shape.finest;
+    *r = (struct round){ .sum = &t->pool[0], .rows = &t->pool[1], .next = &t->pool[2] };
+    unsigned g = p->count;
+    for (unsigned level = p->levels;; level--) {
+        for (; g > 0 && p->gaussian[g - 1].level == level; g--)
+            if ((only < 0 || p->gaussian[g - 1].index == (unsigned)only) && record_gaussian(fr, &p->gaussian[g - 1], r) < 0)
+                return -1;
+        if (level == finest)
+            return 0;
+        if (r->any && record_up(fr, level - 1, r) < 0)
+            return -1;
+    }
+}
+
+/* ---- pictures ------------------------------------------------------------------------------------ */
+
+static bool displays(const struct params *p)
+{
+    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
+}
+
+static bool has_dirt(const struct frame *fr) { return fr->request->dirt && fr->params->dirt_gain > 0; }
+
+static int32_t develop_features(const struct frame *fr, const struct view_spec *view, bool glow)
+{
+    const struct params *p = fr->params;
+    const bool final = view->view == VIEW_FINAL;
+    int32_t features = (int32_t)view->view;
+    if (final)
+        features |= p->composite << 3 | p->display << 5 | p->encoding << 7 | (p->saturation != 1) << 9 | displays(p) << 15;
+    features |= fr->matte ? 1024 | (fr->matte->geometry.type == PIXEL_TYPE_HALF ? 2048 : 0) : 0;
+    features |= glow && has_dirt(fr) ? 4096 : 0;
+    features |= glow ? 8192 : 0;
+    const bool e = view->view == VIEW_BRIGHT || view->view == VIEW_RESIDUAL || (final && p->composite == COMPOSITE_MIX);
+    return features | (e && fr->keeps_e ? 16384 : 0);
+}
+
+// Of a final picture, whether the plain composite makes it.
+static bool is_plain(const struct frame *fr, const struct view_spec *view, const struct vk_image *sum)
+{
+    const struct params *p = fr->params;
+    return view->view == VIEW_FINAL && sum && !displays(p) && p->composite != COMPOSITE_MIX && !fr->matte && !has_dirt(fr);
+}
+
+static void set_dirt(const struct frame *fr, struct pass_uniforms *u)
+{
+    const struct bloom_image *m = fr->request->dirt;
+    if (!m)
+        return;
+    u->dirt[0] = (float)fr->params->dirt_gain;
+    u->dirt[1] = (float)((double)m->width / fr->target->width);
+    u->dirt[2] = (float)((double)m->height / fr->target->height);
+    // The shader reads .yz.
+    u->mode[2] = (int32_t)m->width;
+    u->mode[3] = (int32_t)m->height;
+}
+
+// Steps 7 to 9.
+int record_output(struct frame *fr, unsigned output, const struct view_spec *view, struct vk_image *sum)
+{
+    struct bloom *b = fr->b;
+    struct slot_target *t = fr->target;
+    struct targets *pyramid = &b->targets;
+    const bool plain = is_plain(fr, view, sum);
+    const unsigned order = sum && pyramid->shape.finest ? b->plan->order[0] : 0;
+    struct vk_draw d = { .add = sum ? sum : &pyramid->pool[0] };
+    if (plain)
+        d.pipeline = pipeline_get(b, fr->f, 0, "composite_o%u%s", order, type_of(t));
+    else
+        d.pipeline = pipeline_get(b, fr->f, develop_features(fr, view, sum != NULL), "develop_o%u_c%u%s", order,
+                                  t->geometry.channels, type_of(t));
+    if (!d.pipeline)
+        return -1;
+    struct pass_uniforms *u = pass_begin(fr, &d);
+    u->frame[2] = (int32_t)t->groups;
+    u->weight[3] = (float)fr->params->intensity;
+    added(u, &pyramid->level[pyramid->shape.finest]);
+    planes_of(t, &d);
+    d.bands = t->geometry.channels;
+    if (!plain) {
+        d.matte = fr->matte ? &fr->matte->in[0] : &t->in[0];
+        set_dirt(fr, u);
+        d.dirt = has_dirt(fr) ? &b->dirt : &b->blank;
+        d.src = &pyramid->layered;
+        // Saturation looks at all channels of a pixel.
+        d.all_planes = view->view == VIEW_FINAL && fr->params->saturation != 1;
+    }
+    for (unsigned i = 0; i < LEVEL_PHASES; i++)
+        d.dst_each[i] = &t->out[output][i];
+    d.area = area_of(t->texels, t->groups * t->geometry.channels);
+    vk_draw(&b->commands, &d);
+    return 0;
+}
+
+/* ---- begin and end --------------------------------------------------------------------------------- */
+
+static void stage_image(struct vk_commands *c, const struct bloom_slot *s, struct vk_image *m, VkDeviceSize offset, bool up)
+{
+    vk_use(c, m, VK_PIPELINE_STAGE_2_COPY_BIT, up ? VK_ACCESS_2_TRANSFER_WRITE_BIT : VK_ACCESS_2_TRANSFER_READ_BIT, up);
+    vk_flush_barriers(c);
+    const VkBufferImageCopy copy = {
+        .bufferOffset = offset,
+        .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1 },
+        .imageExtent = { m->width, m->height, 1 },
+    };
+    if (up)
+        vkCmdCopyBufferToImage(c->buffer, s->staging.buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
+    else
+        vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, s->staging.buffer, 1, &copy);
+}
+
+static void stage_inputs(struct frame *fr, struct slot_target *t)
+{
+    const VkDeviceSize plane = (VkDeviceSize)t->texels * 16 * t->height;
+    for (unsigned i = 0; i < t->geometry.channels; i++)
+        stage_image(&fr->b->commands, fr->slot, &t->in[i], t->staging_in + i * plane, true);
+}
+
+int record_begin(struct frame *fr)
+{
+    struct bloom *b = fr->b;
+    if (vk_begin(&b->commands, fr->f) < 0)
+        return -1;
+    b->passes = 0;
+    if (b->staged) {
+        stage_inputs(fr, fr->target);
+        if (fr->source != fr->target)
+            stage_inputs(fr, fr->source);
+        if (fr->matte)
+            stage_inputs(fr, fr->matte);
+    }
+    return 0;
+}
+
+int record_end(struct frame *fr)
+{
+    struct bloom *b = fr->b;
+    const struct slot_target *t = fr->target;
+    const VkDeviceSize phase = (VkDeviceSize)t->texels * 16 * t->groups * t->geometry.channels;
+    for (unsigned o = 0; b->staged && o < t->geometry.outputs; o++)
+        for (unsigned i = 0; i < LEVEL_PHASES; i++)
+            stage_image(&b->commands, fr->slot, &fr->target->out[o][i], t->staging_out + (o * LEVEL_PHASES + i) * phase,
+                        false);
+    vk_to_host(&b->commands);
+    return vk_submit_and_wait(&b->commands, fr->f);
+}
+
+/* ---- dirt ------------------------------------------------------------------------------------------- */
+
+int dirt_upload(struct frame *fr, const struct bloom_image *image)
+{
+    struct bloom *b = fr->b;
+    if (!strcmp(b->dirt_digest, image->digest))
+        return 0;
+    const uint32_t most = b->vk.properties.limits.maxImageDimension2D;
+    if (image->width > most || image->height > most)
+        return fault_set(fr->f, FAULT_LIMIT, "params.dirt", "an image of %u x %u: the device takes up to %u x %u",
+                         image->width, image->height, most, most);
+    b->dirt_digest[0] = '\0';
+    vk_image_destroy(&b->vk, &b->dirt);
+    const size_t pixels = (size_t)image->width * image->height;
+    if (vk_image_create(&b->vk, &b->dirt, VK_FORMAT_R32G32B32A32_SFLOAT, image->width, image->height, 1, false, fr->f) < 0 ||
+        vk_memory_reserve(&b->vk, &b->dirt_memory, b->dirt.needs.size, b->dirt.needs.memoryTypeBits, VK_PLACE_DEVICE,
+                          fr->f) < 0 ||
+        vk_image_bind(&b->vk, &b->dirt, &b->dirt_memory, 0, fr->f) < 0 ||
+        vk_buffer_reserve(&b->vk, &b->exchange, pixels * 16, EXCHANGE_USAGE, fr->f) < 0)
+        return -1;
+    float *to = (float *)(void *)b->exchange.memory.map;
+    for (size_t i = 0; i < pixels; i++) {
+        memcpy(to + 4 * i, image->rgb + 3 * i, 3 * sizeof(float));
+        to[4 * i + 3] = 0;
+    }
+    vk_use(&b->commands, &b->dirt, VK_PIPELINE_STAGE_2_COPY_BIT, VK_ACCESS_2_TRANSFER_WRITE_BIT, true);
+    vk_flush_barriers(&b->commands);
+    const VkBufferImageCopy copy = {
+        .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1 },
+        .imageExtent = { image->width, image->height, 1 },
+    };
+    vkCmdCopyBufferToImage(b->commands.buffer, b->exchange.buffer, b->dirt.image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
+    return 0;
+}
