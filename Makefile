@@ -36,7 +36,8 @@ LIBS_PROTO := -lprotobuf-c
 # ---- rooms: one archive each, dependencies one way -------------------------------------------
 ROOM_proto := $(wildcard proto/*.c)
 ROOM_exr := $(wildcard daemon/exr*.c) daemon/frame.c
-ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c) daemon/plan.c daemon/psf.c
+ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c daemon/kernel*.c daemon/look*.c) daemon/plan.c daemon/psf.c \
+	daemon/convolve.c daemon/fft.c daemon/crew.c
 ROOM_params := $(wildcard daemon/params*.c)
 ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
 ROOM_client := $(wildcard client/lib*.c)
@@ -100,7 +101,11 @@ $(BUILD)/gen/airy.pb-c.o: $(BUILD)/gen/airy.pb-c.c
 	$(Q)$(CC) $(CPPFLAGS) -std=c11 $(OPT) -fPIC -fvisibility=hidden $(SANFLAGS) -c $< -o $@
 
 # Pixel loops that the compiler vectorises.
-$(BUILD)/daemon/frame.o $(BUILD)/daemon/exr_zip.o $(BUILD)/daemon/exr_encode.o: CFLAGS += $(if $(SAN),,-O3)
+$(BUILD)/daemon/frame.o $(BUILD)/daemon/exr_zip.o $(BUILD)/daemon/exr_encode.o $(BUILD)/daemon/fft.o \
+$(BUILD)/daemon/kernel_aperture.o $(BUILD)/daemon/convolve.o: CFLAGS += $(if $(SAN),,-O3)
+
+# Selects may be taken on both sides: no code here looks at the FPU's flags.
+$(BUILD)/daemon/kernel_aperture.o: CFLAGS += -fno-trapping-math -fno-math-errno
 
 $(BUILD)/proto.a: $(call obj,$(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 $(BUILD)/exr.a: $(call obj,$(ROOM_exr)) $(patsubst %.cc,$(BUILD)/%.o,$(wildcard daemon/exr*.cc))

@@ -35,9 +35,23 @@ const struct option_row bloom_options[BLOOM_OPTIONS] = {
     [BLOOM_JSON] = { "json", 0, NULL, "one JSON object a line and frame on standard output" },
     [BLOOM_QUIET] = { "quiet", 'q', NULL, "say nothing but errors" },
     [BLOOM_HELP] = { "help", 'h', NULL, "this text" },
-#define NUMBER(name, field, def, min, max, unit, help) [BLOOM_PARAM_##name] = { #name, 0, "N", help },
-#define CHOICE(name, field, def, words, help) [BLOOM_PARAM_##name] = { #name, 0, "WORD", help },
-#define TEXT(name, field, def, help) [BLOOM_PARAM_##name] = { #name, 0, "TEXT", help },
+/* --view was the stereo view's before the picture had views: those are --show. */
+#define OPTION(name) (BLOOM_PARAM_##name == BLOOM_PARAM_view ? "show" : #name)
+#define NUMBER(name, field, def, min, max, unit, help) [BLOOM_PARAM_##name] = { OPTION(name), 0, "N", help },
+#define NUMBER_OR(name, field, flag, def, min, max, unit, word, help)                                   \
+    [BLOOM_PARAM_##name] = { OPTION(name), 0, "N|" word, help },
+#define CHOICE(name, field, def, words, help) [BLOOM_PARAM_##name] = { OPTION(name), 0, "WORD", help },
+#define TEXT(name, field, def, help) [BLOOM_PARAM_##name] = { OPTION(name), 0, "TEXT", help },
+#include "params.def"
+#undef NUMBER
+#undef CHOICE
+#undef TEXT
+};
+
+static const char *const param_names[BLOOM_OPTIONS] = {
+#define NUMBER(name, field, def, min, max, unit, help) [BLOOM_PARAM_##name] = #name,
+#define CHOICE(name, field, def, words, help) [BLOOM_PARAM_##name] = #name,
+#define TEXT(name, field, def, help) [BLOOM_PARAM_##name] = #name,
 #include "params.def"
 #undef NUMBER
 #undef CHOICE
@@ -134,7 +148,7 @@ static int option(struct bloom_asked *a, int id, const char *value)
         return 0;
     default:
         if (id >= BLOOM_PARAMS)
-            return param_add(a, bloom_options[id].name, value);
+            return param_add(a, param_names[id], value);
         *texts[id] = value;
         return 0;
     }

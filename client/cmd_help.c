@@ -21,10 +21,14 @@ static void wrap(const char *text, int column)
     column = INDENT;
     while (*text) {
         int len = (int)strcspn(text, " ");
+        if (len > WIDTH - INDENT) { /* of a long psf each key may have a line */
+            const char *comma = memchr(text, ',', (size_t)len);
+            len = comma ? (int)(comma - text) + 1 : len;
+        }
         if (column > INDENT && column + 1 + len > WIDTH) {
             printf("\n%*s", INDENT, "");
             column = INDENT;
-        } else if (column > INDENT) {
+        } else if (column > INDENT && text[-1] == ' ') {
             putchar(' ');
             column++;
         }
@@ -61,6 +65,10 @@ static const char *choice_word(const char *symbol, char *out, size_t size)
 static void print_params(void)
 {
     char text[512], word[32];
+#define NUMBER_OR(name, field, flag, def, min, max, unit, instead, help)                                \
+    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    snprintf(text, sizeof(text), "[%s; %s to %s, or %s; default %s]", unit, #min, #max, instead, #def); \
+    wrap(text, 0);
 #define NUMBER(name, field, def, min, max, unit, help)                                                  \
     print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
     snprintf(text, sizeof(text), "[%s; %s to %s; default %s]", unit, #min, #max, #def);                 \
@@ -71,7 +79,7 @@ static void print_params(void)
     wrap(text, 0);
 #define TEXT(name, field, def, help)                                                                    \
     print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
-    snprintf(text, sizeof(text), "[default %s]", def);                                                  \
+    snprintf(text, sizeof(text), "[default %s]", *def ? def : "none");                                                \
     wrap(text, 0);
 #include "params.def"
 #undef NUMBER
@@ -93,6 +101,26 @@ static void help_all(void)
          "With no daemon running, airy bloom starts a private one for its own life.");
 }
 
+/* The texts' grammar is the daemon's (PROTOCOL.md section 9); this is what one needs at hand. */
+static void help_texts(void)
+{
+    puts("\n"
+         "Sizes: 8 or 8px (pixel heights), 0.5% (of the data window's diagonal), 0.3mm (on the sensor).\n"
+         "\n"
+         "Point spread functions (S a size, W a weight; R:G:B the tint of each Gaussian):\n"
+         "  gaussians:sigma=S/S/..,weight=W/W/..[,tint=R:G:B/..]\n"
+         "  octaves:sigma=S,count=N[,ratio=2][,weight=1][,slope=1][,bend=0][,tint=R:G:B/..]\n"
+         "  octaves:sigma=S,count=N[,ratio=2],weights=W/W/..[,tint=R:G:B/..]\n"
+         "  halation:sigma=S/S/S,gain=W/W/W                        for R/G/B\n"
+         "  eye:[degrees=40][,weight=0.1]                          glare of the eye\n"
+         "  airy:[f=8][,pitch=5][,wavelength=610/550/465][,weight=0.1]\n"
+         "  aperture:[blades=6][,rotation=0][,f=..., as airy]      starburst\n"
+         "  image:DIGEST[,weight=0.1]                              an uploaded kernel\n"
+         "\n"
+         "A look brings its own threshold, knee, intensity and emission, and refuses what it does not\n"
+         "have. Contradictions are errors that name the parameter.");
+}
+
 static void help_bloom(void)
 {
     puts("airy bloom IN OUT [options]\n"
@@ -108,6 +136,7 @@ static void help_bloom(void)
         print_option(&bloom_options[i]);
     puts("\nParameters of the bloom:");
     print_params();
+    help_texts();
     puts("\nExit status: 0 all done; 2 usage; 3 input; 4 output; 5 may be tried again as it is; 1 "
          "other.\n"
          "See airy(1).");

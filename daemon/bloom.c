@@ -65,9 +65,21 @@ static bool same_facts(const struct plan_facts *a, const struct plan_facts *b)
            a->channels == b->channels && a->pixel_aspect == b->pixel_aspect && a->only == b->only;
 }
 
+// Member by member: a struct's padding is nobody's.
+static bool same_spec(const struct psf_spec *a, const struct psf_spec *b)
+{
+    bool same = a->kind == b->kind && a->count == b->count;
+    for (unsigned i = 0; same && i < a->count; i++) {
+        const struct psf_gaussian *g = &a->gaussian[i], *h = &b->gaussian[i];
+        same = g->sigma.value == h->sigma.value && g->sigma.unit == h->sigma.unit && g->weight == h->weight &&
+               g->tint[0] == h->tint[0] && g->tint[1] == h->tint[1] && g->tint[2] == h->tint[2];
+    }
+    return same;
+}
+
 static bool answers(const struct planned *e, const struct params *p, const struct plan_facts *facts)
 {
-    return e->asked && !strcmp(e->psf, p->psf) && e->near_gain == p->near_gain && e->far_gain == p->far_gain &&
+    return e->asked && same_spec(&e->spec, &p->psf_spec) && e->near_gain == p->near_gain && e->far_gain == p->far_gain &&
            e->sensor_mm == p->sensor_mm && e->tolerance == p->tolerance && e->budget_ms == p->budget_ms &&
            same_facts(&e->facts, facts);
 }
@@ -129,7 +141,7 @@ static int find_plan(struct bloom *b, const struct bloom_request *r, const struc
     if (made < 0)
         return -1;
     oldest->asked = b->plans_asked;
-    snprintf(oldest->psf, sizeof(oldest->psf), "%s", p->psf);
+    oldest->spec = p->psf_spec;
     oldest->near_gain = p->near_gain;
     oldest->far_gain = p->far_gain;
     oldest->sensor_mm = p->sensor_mm;
@@ -184,14 +196,14 @@ static int prepare_targets(struct frame *fr)
         .full_size = full,
         .finest = b->plan->full_size || fr->fft ? 0 : 1,
     };
-    if (b->prepared == b->plan && b->prepared_pad == fr->pad && targets_same(&b->targets, &shape))
+    if (b->prepared == b->plan && b->prepared_pad == fr->pad + t->geometry.grow && targets_same(&b->targets, &shape))
         return 0;
     b->prepared = NULL;
     if (targets_prepare(&b->vk, &b->targets, &shape, fr->f) < 0 ||
-        ledger_prepare(&b->ledger, b->plan, &b->targets, fr->pad, fr->f) < 0)
+        ledger_prepare(&b->ledger, b->plan, &b->targets, fr->pad + t->geometry.grow, fr->f) < 0)
         return -1;
     b->prepared = b->plan;
-    b->prepared_pad = fr->pad;
+    b->prepared_pad = fr->pad + t->geometry.grow;
     return 0;
 }
 
@@ -233,20 +245,6 @@ static bool changes_anyway(const struct frame *fr)
     return zeroes || (fr->matte && p->emission != 1) || (view == VIEW_FINAL && displays(p));
 }
 
-// E's sums before firefly, and before clamp, when they were asked for: the same passes, for the ledger's sake.
-static int record_totals(struct frame *fr)
-{
-    const struct params *p = fr->params;
-    struct bloom *b = fr->b;
-    if (p->firefly > 0 && (record_bright(fr, false, false) < 0 ||
-                           ledger_record_total(&b->commands, &b->ledger, &b->targets, 0, fr->f) < 0))
-        return -1;
-    if (p->clamp > 0 && (record_bright(fr, true, false) < 0 ||
-                         ledger_record_total(&b->commands, &b->ledger, &b->targets, 1, fr->f) < 0))
-        return -1;
-    return 0;
-}
-
 static int record_pictures(struct frame *fr, struct vk_image *sum, bool dark)
 {
     const struct params *p = fr->params;
@@ -275,7 +273,7 @@ static int record_frame(struct frame *fr, bool dark)
     if (fr->request->dirt && dirt_upload(fr, fr->request->dirt) < 0)
         return -1;
     // Even of a dark frame somebody may want to see E.
-    if ((!dark || fr->keeps_e) && (record_totals(fr) < 0 || record_bright(fr, true, true) < 0))
+    if ((!dark || fr->keeps_e) && (record_totals(fr) < 0 || record_bright(fr) < 0))
         return -1;
     if (!dark && !fr->fft) {
         struct round r;
@@ -296,13 +294,17 @@ static void account(struct frame *fr, struct bloom_reply *r)
     ledger_sum(&b->ledger, b->plan, &b->targets, &sums);
     if (fr->fft)
         sums.bright = fr->sums.bright, sums.spread = fr->sums.spread, sums.outside = fr->sums.outside;
-    r->energy_bright = sums.bright;
+    r->energy_bright = fr->pad ? sums.total[TOTAL_BRIGHT] : sums.bright;
     r->energy_bloomed = p->intensity * (sums.spread - sums.outside);
     // With edge=fill as much comes in as goes out: nothing is lost.
     r->energy_lost = fr->pad ? 0 : p->intensity * sums.outside;
-    const double clamped_from = p->clamp > 0 ? sums.total[1] : sums.bright;
-    r->energy_clamped = p->clamp > 0 ? fmax(0, sums.total[1] - sums.bright) : 0;
-    r->energy_suppressed = p->firefly > 0 ? fmax(0, sums.total[0] - clamped_from) : 0;
+    double after = r->energy_bright;
+    if (p->clamp > 0) {
+        r->energy_clamped = fmax(0, sums.total[TOTAL_UNCLAMPED] - after);
+        after = sums.total[TOTAL_UNCLAMPED];
+    }
+    if (p->firefly > 0)
+        r->energy_suppressed = fmax(0, sums.total[TOTAL_RAW] - after);
 }
 
 static void describe_plan(struct bloom *b, const struct params *p, struct bloom_reply *r)
@@ -375,7 +377,8 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     if (check_request(&fr) < 0)
         return -1;
     fr.exposure = fr.params->exposure;
-    if (fr.params->exposure_auto && fr.params->bloom == SWITCH_ON && meter_exposure(&fr, &fr.exposure) < 0)
+    const bool exposed = fr.params->bloom == SWITCH_ON || displays(fr.params);
+    if (fr.params->exposure_auto && exposed && meter_exposure(&fr, &fr.exposure) < 0)
         return -1;
     r.exposure = fr.exposure;
     bright_set(&fr);

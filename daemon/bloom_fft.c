@@ -125,7 +125,8 @@ static int convolve(struct frame *fr, const struct block *from, const struct blo
         const double spread = bright * convolver_weight(b->convolver, c);
         fr->sums.bright += bright;
         fr->sums.spread += spread;
-        fr->sums.outside += spread - sum_rows(out[c], stride, t->width, t->height);
+        fr->sums.outside += spread - sum_rows(out[c] + grow * stride + grow, stride, t->geometry.width,
+                                                  t->geometry.height);
     }
     return 0;
 }

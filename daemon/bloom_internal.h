@@ -100,8 +100,8 @@ struct ledger_region { /* cells of one level, all its channels */
     VkDeviceSize offset;       /* in the read-back buffer: [channel][phase][group][texel] */
 };
 
-/* Sums of E made for their own sake: before firefly and clamp, before clamp. */
-enum { LEDGER_TOTALS = 2, LEDGER_REGIONS_MAX = 4 * (PSF_LEVELS_MAX + 1) + 1 + LEDGER_TOTALS };
+/* Sums of E inside the window made for their own sake: before firefly and clamp, before clamp, and as it is. */
+enum { TOTAL_RAW, TOTAL_UNCLAMPED, TOTAL_BRIGHT, LEDGER_TOTALS, LEDGER_REGIONS_MAX = 4 * (PSF_LEVELS_MAX + 1) + 1 + LEDGER_TOTALS };
 
 struct ledger {
     unsigned count;
@@ -113,7 +113,7 @@ struct ledger {
     struct vk_buffer buffer;
 };
 
-/* Works out the regions for a plan on these levels; pad: pixels of the canvas around the planes. 0, or -1 and *f. */
+/* Works out the regions for a plan on these levels; pad: pixels of the canvas around the data window. 0, or -1 and *f. */
 int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, uint32_t pad, struct fault *f);
 void ledger_clear(struct ledger *l); /* keeps the buffer */
 int ledger_record(struct vk_commands *c, struct ledger *l, struct targets *t, struct fault *f);
@@ -122,7 +122,7 @@ int ledger_record_total(struct vk_commands *c, struct ledger *l, struct targets 
 struct ledger_sums {
     double bright;  /* E on the canvas */
     double spread;  /* weights * E: what B would be on a canvas without end */
-    double outside; /* of it, outside the planes */
+    double outside; /* of it, outside the data window */
     double total[LEDGER_TOTALS];
 };
 void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out);
@@ -138,7 +138,7 @@ struct named_pipeline {
 enum { PLANS_MAX = 8 };
 struct planned {
     uint64_t asked; /* when last; 0: empty */
-    char psf[PARAMS_TEXT_MAX];
+    struct psf_spec spec;
     double near_gain, far_gain, sensor_mm, tolerance, budget_ms;
     struct plan_facts facts;
     struct plan plan;
@@ -180,7 +180,7 @@ struct bloom {
     uint64_t plans_asked;
     const struct plan *plan;          /* the one in use */
     const struct plan *prepared;      /* the one that targets and ledger are made for; NULL: none */
-    uint32_t prepared_pad;
+    uint32_t prepared_pad;            /* of the ledger */
     unsigned slots;
     struct bloom_slot slot[8];
     struct bloom_slot warm_slot; /* for first draws: the others' planes are in use */
@@ -223,8 +223,10 @@ struct round {
     bool any; /* sum holds something */
 };
 int record_begin(struct frame *fr);
-/* Bright pass, and E's levels. firefly, clamp: as asked, or left out for the ledger's sake. */
-int record_bright(struct frame *fr, bool firefly, bool clamp);
+/* Bright pass, and E's levels. */
+int record_bright(struct frame *fr);
+/* E's sums of the ledger that the frame itself does not have, when firefly, clamp or edge=fill were asked for. */
+int record_totals(struct frame *fr);
 /* Only the Gaussian of this index, -1: all. *r: any is false when there is none. */
 int record_spread(struct frame *fr, int only, struct round *r);
 /* One output: what it shows of the sum (NULL: no glow). */

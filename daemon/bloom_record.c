@@ -93,16 +93,20 @@ static int record_plain(struct frame *fr, unsigned order)
 }
 
 // Steps 1 to 4 with all that may be asked for.
-static int record_extract(struct frame *fr, bool firefly, bool clamp)
+struct extract {
+    bool firefly, clamp, fill;
+};
+
+static int record_extract(struct frame *fr, struct extract x)
 {
     struct targets *t = &fr->b->targets;
     const struct params *p = fr->params;
     struct vk_draw d = { .dst = &t->layered };
     int32_t features = p->bright;
-    features |= firefly && p->firefly > 0 ? 8 : 0;
-    features |= clamp && p->clamp > 0 ? 16 : 0;
+    features |= x.firefly && p->firefly > 0 ? 8 : 0;
+    features |= x.clamp && p->clamp > 0 ? 16 : 0;
     features |= fr->matte ? 32 | (fr->matte->geometry.type == PIXEL_TYPE_HALF ? 64 : 0) : 0;
-    features |= fr->pad ? 128 : 0;
+    features |= x.fill && fr->pad ? 128 : 0;
     d.pipeline = pipeline_get(fr->b, fr->f, features, "extract_c%u%s", t->shape.channels, type_of(fr->source));
     if (!d.pipeline)
         return -1;
@@ -140,17 +144,40 @@ static int record_down(struct frame *fr, unsigned octave, unsigned order)
     return 0;
 }
 
-int record_bright(struct frame *fr, bool firefly, bool clamp)
+static int record_levels(struct frame *fr)
 {
-    struct bloom *b = fr->b;
-    const struct plan *p = b->plan;
-    const bool fused = !b->targets.shape.full_size;
-    if ((fr->rich ? record_extract(fr, firefly, clamp) : record_plain(fr, fused ? p->order[0] : 0)) < 0)
-        return -1;
-    for (unsigned i = 0; i < b->targets.shape.octaves; i++)
+    const struct plan *p = fr->b->plan;
+    for (unsigned i = 0; i < fr->b->targets.shape.octaves; i++)
         if (record_down(fr, i, i < p->levels ? p->order[i] : 4) < 0)
             return -1;
     return 0;
+}
+
+int record_bright(struct frame *fr)
+{
+    const unsigned order = fr->b->targets.shape.full_size ? 0 : fr->b->plan->order[0];
+    const struct extract all = { true, true, true };
+    if ((fr->rich ? record_extract(fr, all) : record_plain(fr, order)) < 0)
+        return -1;
+    return record_levels(fr);
+}
+
+static int record_total(struct frame *fr, struct extract x, unsigned total)
+{
+    struct bloom *b = fr->b;
+    if (record_extract(fr, x) < 0 || record_levels(fr) < 0)
+        return -1;
+    return ledger_record_total(&b->commands, &b->ledger, &b->targets, total, fr->f);
+}
+
+int record_totals(struct frame *fr)
+{
+    const struct params *p = fr->params;
+    if (p->firefly > 0 && record_total(fr, (struct extract){ 0 }, TOTAL_RAW) < 0)
+        return -1;
+    if (p->clamp > 0 && record_total(fr, (struct extract){ .firefly = true }, TOTAL_UNCLAMPED) < 0)
+        return -1;
+    return fr->pad ? record_total(fr, (struct extract){ .firefly = true, .clamp = true }, TOTAL_BRIGHT) : 0;
 }
 
 static unsigned reach_of(const struct psf_taps *taps)

@@ -25,7 +25,7 @@ enum encoding { ENCODING_LINEAR, ENCODING_GAMMA22, ENCODING_SRGB };
 enum { STAGES_3, STAGES_6 };
 
 enum { PARAMS_GAUSSIANS_MAX = 32, PARAMS_TEXT_MAX = 512, PARAMS_LAYERS_MAX = 7, PARAMS_TINTS_MAX = 6 };
-enum { PARAMS_LINE_MAX = 4096 }; /* params_print is shorter, whatever was set */
+enum { PARAMS_LINE_MAX = 5120 }; /* params_print is shorter, whatever was set */
 
 /* A length: pixel heights, per cent of the data window's diagonal, or mm on the sensor. */
 enum size_unit { SIZE_PIXELS, SIZE_PERCENT, SIZE_MM };

@@ -166,6 +166,8 @@ static bool silent(const struct params *p, unsigned row)
     if (p->bloom == SWITCH_OFF && !survives_off(row))
         return true;
     switch (row) {
+    case ROW_grow: /* by nothing, like a look's window, which cannot grow */
+        return p->bloom == SWITCH_OFF && p->grow_size.value == 0;
     case ROW_source:
         return !p->source[0];
     case ROW_matte:

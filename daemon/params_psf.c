@@ -259,6 +259,8 @@ int read_psf(struct params *p, const char *text, struct fault *f)
         piece_next(&items, ',', &digest);
         if (piece_digest(&digest, spec.digest, f) < 0)
             return -1;
+        if (items.s && items.len == 0)
+            return piece_fault(f, FAULT_PARAM_SYNTAX, &items, "weight=... after the comma expected");
         if (!items.s)
             items = (struct piece){ "psf", text, text + strlen(text), 0, row->usage };
         print_text(&to, spec.digest);

@@ -53,6 +53,8 @@ float dirt_at(ivec2 pixel, int c)
 
 float bright_at(ivec2 pixel, int c)
 {
+    if (any(lessThan(pixel, pass.window.xy)) || any(greaterThanEqual(pixel, pass.window.zw)))
+        return 0.0;
     ivec2 at = pixel + pass.mode.x;
     vec4 v = imageLoad(src, ivec3((at.x >> 2) + 2, (at.y + 8) >> 1, c * 2 + (at.y & 1)));
     return (at.x & 2) == 0 ? ((at.x & 1) == 0 ? v.x : v.y) : ((at.x & 1) == 0 ? v.z : v.w);

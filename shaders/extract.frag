@@ -49,6 +49,11 @@ vec3 source_at(ivec2 at)
 }
 
 float luminance(vec3 s) { return CHANNELS == 3 ? dot(s, pass.luma.rgb) : s.r; }
+// Beyond the canvas there is nothing, with edge=fill too: the ring around a level must be 0.
+bool on_canvas(ivec2 at)
+{
+    return all(greaterThanEqual(at, ivec2(-pass.mode.x))) && all(lessThan(at, pass.frame.xy + pass.mode.x));
+}
 bool inside(ivec2 at) { return all(greaterThanEqual(at, pass.window.xy)) && all(lessThan(at, pass.window.zw)); }
 
 void main()
@@ -85,7 +90,7 @@ void main()
                 if (l > pass.limit.x)
                     v *= pass.limit.x / l;
             }
-            e[y][x] = FILL || inside(pixel) ? v : vec3(0.0);
+            e[y][x] = (FILL ? on_canvas(pixel) : inside(pixel)) ? v : vec3(0.0);
         }
     }
     out_r0 = vec4(e[0][0].r, e[0][1].r, e[0][2].r, e[0][3].r);

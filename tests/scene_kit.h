@@ -11,20 +11,20 @@
 #include "reference.h"
 
 /* What the engine of this tree can do beyond Gaussians: tests of a feature that it lacks are not run. */
-#define ENGINE_HAS_BLOOM_OFF 0
-#define ENGINE_HAS_STOPS 0
-#define ENGINE_HAS_AUTO 0   /* exposure=auto */
-#define ENGINE_HAS_SOURCE 0 /* source, matte, emission */
-#define ENGINE_HAS_FIREFLY 0
-#define ENGINE_HAS_CLAMP 0
-#define ENGINE_HAS_TINTS 0 /* tints, near, far */
-#define ENGINE_HAS_MM 0
-#define ENGINE_HAS_DIRT 0
-#define ENGINE_HAS_MIX 0 /* composites but add */
-#define ENGINE_HAS_FILL 0
-#define ENGINE_HAS_GROW 0
-#define ENGINE_HAS_DISPLAY 0
-#define ENGINE_HAS_VIEWS 0 /* view, layers */
+#define ENGINE_HAS_BLOOM_OFF 1
+#define ENGINE_HAS_STOPS 1
+#define ENGINE_HAS_AUTO 1   /* exposure=auto */
+#define ENGINE_HAS_SOURCE 1 /* source, matte, emission */
+#define ENGINE_HAS_FIREFLY 1
+#define ENGINE_HAS_CLAMP 1
+#define ENGINE_HAS_TINTS 1 /* tints, near, far */
+#define ENGINE_HAS_MM 1
+#define ENGINE_HAS_DIRT 1
+#define ENGINE_HAS_MIX 1 /* composites but add */
+#define ENGINE_HAS_FILL 1
+#define ENGINE_HAS_GROW 1
+#define ENGINE_HAS_DISPLAY 1
+#define ENGINE_HAS_VIEWS 1 /* view, layers */
 #define ENGINE_HAS_STORAGE 0
 
 struct scene {
@@ -40,7 +40,7 @@ struct scene {
     unsigned outputs;
     /* After a run. */
     double *out[BLOOM_OUTPUTS_MAX][3]; /* (width + 2 grow) x (height + 2 grow) */
-    struct frame_scan scan, source_scan;
+    struct frame_scan scan, source_scan, matte_scan;
     struct planes in_planes[3], out_planes[3 * BLOOM_OUTPUTS_MAX]; /* the slot's; the target is the first */
     struct bloom_reply reply;
 };

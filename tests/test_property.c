@@ -169,7 +169,7 @@ static void random_bright(struct params *p)
         p->exposure_auto = true;
         p->key = log_between(.01, 10);
         p->meter_dark = chance(.3) ? 0 : between(0, 60);
-        p->meter_bright = chance(.3) ? 0 : between(0, 60);
+        p->meter_bright = chance(.3) ? 0 : between(0, 39);
     }
     if (ENGINE_HAS_CLAMP && chance(.25))
         p->clamp = log_between(1e-3, 1e3);
