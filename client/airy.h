@@ -120,6 +120,8 @@ struct airy_request {
     /* Called from within airy_submit, airy_pump and the waits; must not use the connection. */
     void (*progress)(void *ctx, uint64_t id, const char *stage, double fraction);
     void *progress_ctx;
+
+    bool plan_only;                      /* the result says what would run; it has no data */
 };
 #ifdef __cplusplus
 static inline struct airy_request airy_request_init()
@@ -145,6 +147,16 @@ AIRY_API int airy_memfd(uint64_t size, void **map, struct airy_error *e);
  * it returns. Blocks while the connection has no credit or no request left (until earlier requests
  * end). Inline data that the socket does not take at once is sent by airy_pump and the waits. */
 AIRY_API int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e);
+/* An image that requests name by digest: lens dirt (parameter dirt=DIGEST), a kernel (psf=image:DIGEST). */
+struct airy_asset {
+    char digest[40]; /* 32 hex digits */
+    uint32_t width, height;
+};
+/* Sends an EXR file to be kept: exactly one of data (`size` bytes) and input_fd (as a request's; all of it). Blocks until
+ * the daemon has it; requests that end meanwhile are had by the waits as always. The daemon may give it up when it is short of
+ * room: a request then fails with NO_ASSET, and it is to be sent again. Sending what is kept costs little. */
+AIRY_API int airy_asset(struct airy *a, int input_fd, const void *data, uint64_t size, struct airy_asset *out,
+                        struct airy_error *e);
 /* Asks to stop: the request then ends with symbol "CANCELLED", or as it would have, and is still to be
  * waited for. No harm when it has ended already. */
 AIRY_API int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e);
@@ -162,13 +174,18 @@ struct airy_target {
     bool any_nonfinite;
     int32_t first_x, first_y;
     const char *first_channel;
+    const char *skipped;  /* what was not done, and why */
+    const char *storage;  /* between the passes: "float" or "half" */
+    double exposure;      /* stops in use */
+    double predicted_ms;  /* device time by the daemon's own measurements */
+    double energy_clamped, energy_suppressed; /* taken away by clamp and by firefly */
 };
 
 struct airy_times { double queue, load, decode, bloom, encode, total; }; /* ms */
 
 struct airy_result {
     uint64_t id;
-    const void *data;    /* the output, mapped read-only or received; NULL when output_fd was given */
+    const void *data;    /* the output, mapped read-only or received; NULL when output_fd or plan_only was given */
     uint64_t size;
     int fd;              /* the output's memfd, owned by the result; -1 when inline */
     const struct airy_target *targets;

@@ -19,6 +19,7 @@ enum cmd_exit {
 
 /* argv[0] is the subcommand's name. */
 enum cmd_exit cmd_bloom(int argc, char **argv);
+enum cmd_exit cmd_plan(int argc, char **argv);
 enum cmd_exit cmd_status(int argc, char **argv);
 enum cmd_exit cmd_help(int argc, char **argv);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// cmd_bloom.c - airy bloom: from a command line to a list of frames and one request. The daemon judges
+// cmd_bloom.c - airy bloom: from a command line (airy plan's, too) to a list of frames and one request. The daemon judges
 // parameters; the command only carries them.
 #include "cmd_bloom.h"
 
@@ -9,10 +9,9 @@
 #include <unistd.h>
 
 #include "cmd.h"
-#include "cmd_run.h"
 #include "frames.h"
 
-enum { JOBS_DEFAULT = 4, JOBS_MAX = 64 };
+enum { JOBS_MAX = 64 };
 
 const struct option_row bloom_options[BLOOM_OPTIONS] = {
     [BLOOM_OUTPUT] = { "output", 'o', "FILE",
@@ -59,20 +58,16 @@ static const char *const param_names[BLOOM_OPTIONS] = {
 #undef TEXT
 };
 
-struct asked {
-    struct run_options run;
-    const char *input, *output, *frames;
-    unsigned operands;
-    bool help;
-};
-
-static int operand(struct asked *a, const char *value)
+static int operand(struct bloom_asked *a, const char *value)
 {
     if (a->operands == 0)
         a->input = value;
-    else if (a->operands == 1 && !a->output)
+    else if (a->operands == 1 && !a->output && a->command == BLOOM_FOR_FRAMES)
         a->output = value;
-    else {
+    else if (a->command == BLOOM_FOR_PLAN) {
+        cmd_complain("plan: \"%s\": one input expected", value);
+        return -1;
+    } else {
         cmd_complain("bloom: \"%s\": one input and one output expected%s", value,
                      a->frames ? "" : " (quote a pattern: 'in.####.exr')");
         return -1;
@@ -93,16 +88,27 @@ static int jobs_read(unsigned *jobs, const char *value)
     return 0;
 }
 
-static int param_add(struct asked *a, const char *name, const char *value)
+static const char *command_name(const struct bloom_asked *a)
+{
+    return a->command == BLOOM_FOR_PLAN ? "plan" : "bloom";
+}
+
+static int param_add(struct bloom_asked *a, const char *name, const char *value)
 {
     struct airy_error e;
     if (airy_request_param(&a->run.request, name, value, &e) == 0)
         return 0;
-    cmd_complain("bloom: --%s: %s", name, e.text);
+    cmd_complain("%s: --%s: %s", command_name(a), name, e.text);
     return -1;
 }
 
-static int option(struct asked *a, int id, const char *value)
+static bool for_frames(int id)
+{
+    return id == BLOOM_OUTPUT || id == BLOOM_FRAMES || id == BLOOM_JOBS || id == BLOOM_OVERWRITE ||
+           id == BLOOM_NO_OVERWRITE;
+}
+
+static int option(struct bloom_asked *a, int id, const char *value)
 {
     struct airy_request *q = &a->run.request;
     const char **texts[] = { [BLOOM_FRAMES] = &a->frames,
@@ -113,6 +119,10 @@ static int option(struct asked *a, int id, const char *value)
                              [BLOOM_COMPRESSION] = &q->compression,
                              [BLOOM_SOCKET] = &a->run.session.socket,
                              [BLOOM_DEVICE] = &a->run.session.device };
+    if (a->command == BLOOM_FOR_PLAN && for_frames(id)) {
+        cmd_complain("plan: --%s is for airy bloom: nothing is written", bloom_options[id].name);
+        return -1;
+    }
     switch (id) {
     case BLOOM_OUTPUT:
         if (a->output) {
@@ -144,11 +154,12 @@ static int option(struct asked *a, int id, const char *value)
     }
 }
 
-static int asked_read(struct asked *a, int argc, char **argv)
+int bloom_asked_read(struct bloom_asked *a, enum bloom_command command, int argc, char **argv)
 {
     struct options o;
     const char *value;
     int id;
+    a->command = command;
     options_init(&o, argc, argv, bloom_options, BLOOM_OPTIONS);
     while ((id = options_next(&o, &value)) != OPTIONS_END)
         if (id == OPTIONS_WRONG ||
@@ -156,12 +167,16 @@ static int asked_read(struct asked *a, int argc, char **argv)
             return -1;
     if (a->help)
         return 0;
-    if (!a->input || !a->output) {
+    if (command == BLOOM_FOR_FRAMES && (!a->input || !a->output)) {
         cmd_complain("bloom: an input and an output expected: airy bloom IN OUT");
         return -1;
     }
+    if (!a->input) {
+        cmd_complain("plan: an input expected: airy plan IN");
+        return -1;
+    }
     if (a->run.session.socket && a->run.session.device) {
-        cmd_complain("bloom: --device is for a private daemon; the one at --socket has its device");
+        cmd_complain("%s: --device is for a private daemon; the one at --socket has its device", command_name(a));
         return -1;
     }
     return 0;
@@ -189,7 +204,7 @@ static enum cmd_exit no_memory(void)
     return CMD_OTHER;
 }
 
-static enum cmd_exit work_single(struct work *w, const struct asked *a)
+static enum cmd_exit work_single(struct work *w, const struct bloom_asked *a)
 {
     w->frames = calloc(1, sizeof(*w->frames));
     if (!w->frames)
@@ -220,7 +235,7 @@ static enum cmd_exit work_fill(struct work *w, const struct frames_list *l,
     return CMD_DONE;
 }
 
-static enum cmd_exit work_range(struct work *w, const struct asked *a, const struct frames_pattern *in,
+static enum cmd_exit work_range(struct work *w, const struct bloom_asked *a, const struct frames_pattern *in,
                                 const struct frames_pattern *out)
 {
     struct frames_list l = { 0 };
@@ -250,7 +265,7 @@ static enum cmd_exit work_range(struct work *w, const struct asked *a, const str
 }
 
 /* A name that is there is itself, whatever is in it. */
-static enum cmd_exit work_init(struct work *w, const struct asked *a)
+static enum cmd_exit work_init(struct work *w, const struct bloom_asked *a)
 {
     struct frames_pattern in, out;
     char why[FRAMES_WHY_MAX];
@@ -274,11 +289,9 @@ static enum cmd_exit work_init(struct work *w, const struct asked *a)
 
 enum cmd_exit cmd_bloom(int argc, char **argv)
 {
-    static struct asked a = {
-        .run = { .request = AIRY_REQUEST_INIT, .jobs = JOBS_DEFAULT, .overwrite = true }
-    };
+    static struct bloom_asked a = BLOOM_ASKED_INIT;
     struct work work;
-    if (asked_read(&a, argc, argv) < 0)
+    if (bloom_asked_read(&a, BLOOM_FOR_FRAMES, argc, argv) < 0)
         return CMD_USAGE;
     if (a.help)
         return cmd_help(2, (char *[]){ (char *)"help", (char *)"bloom", NULL });

@@ -1,12 +1,13 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * cmd_bloom.h - the options of airy bloom, as a table: for the parser and for the help text. The
+ * cmd_bloom.h - the options of airy bloom and airy plan, as a table: for the parser and for the help text. The
  * parameters' rows are made from proto/params.def.
  */
 #ifndef AIRY_CMD_BLOOM_H
 #define AIRY_CMD_BLOOM_H
 
 #include "cmd_options.h"
+#include "cmd_run.h"
 
 enum bloom_option {
     BLOOM_OUTPUT,
@@ -37,5 +38,22 @@ enum bloom_option {
 };
 
 extern const struct option_row bloom_options[BLOOM_OPTIONS];
+
+enum bloom_command { BLOOM_FOR_FRAMES, BLOOM_FOR_PLAN };
+
+struct bloom_asked { /* strings: argv's */
+    enum bloom_command command;
+    struct run_options run;
+    const char *input, *output, *frames;
+    unsigned operands;
+    bool help;
+};
+#define BLOOM_ASKED_INIT                                                                                \
+    {                                                                                                   \
+        .run = {.request = AIRY_REQUEST_INIT, .jobs = 4, .overwrite = true }                            \
+    }
+
+/* 0, or -1: said what is wrong. With help nothing else is checked. */
+int bloom_asked_read(struct bloom_asked *a, enum bloom_command command, int argc, char **argv);
 
 #endif

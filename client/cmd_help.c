@@ -44,7 +44,11 @@ static void print_option(const struct option_row *r)
     char letter[8] = "    ";
     if (r->letter)
         snprintf(letter, sizeof(letter), "-%c, ", r->letter);
-    int column = printf("  %s--%s%s%s", letter, r->name, r->value ? " " : "", r->value ? r->value : "");
+    char name[40];
+    snprintf(name, sizeof(name), "%s", r->name);
+    for (char *s = name; *s; s++)
+        *s = *s == '_' ? '-' : *s;
+    int column = printf("  %s--%s%s%s", letter, name, r->value ? " " : "", r->value ? r->value : "");
     wrap(r->help, column);
 }
 
@@ -89,6 +93,7 @@ static void help_all(void)
          "\n"
          "  airy bloom IN OUT                                        one frame\n"
          "  airy bloom 'in.####.exr' -o 'out.####.exr' -f 1-100x2    a range, several in flight\n"
+         "  airy plan IN                                             what would run, and its error bound\n"
          "  airy status [--json]                                     how a daemon is doing\n"
          "  airy help bloom                                          every option and parameter\n"
          "  airy --version\n"
@@ -123,7 +128,8 @@ static void help_bloom(void)
          "\n"
          "Adds a bloom to EXR frames. All else in the file stays as it is: other channels, parts,\n"
          "attributes, windows. Each output appears whole or not at all. #### is the frame's number\n"
-         "(also #, @@@, %04d, $F4).\n"
+         "(also #, @@@, %04d, $F4). Where a parameter takes the digest of an image, a file that is there\n"
+         "(--dirt FILE, --psf image:FILE) is sent to the daemon first.\n"
          "\n"
          "Options:");
     for (unsigned i = 0; i < BLOOM_PARAMS; i++)
@@ -134,6 +140,19 @@ static void help_bloom(void)
     puts("\nExit status: 0 all done; 2 usage; 3 input; 4 output; 5 may be tried again as it is; 1 "
          "other.\n"
          "See airy(1).");
+}
+
+static void help_plan(void)
+{
+    puts("airy plan IN [options]\n"
+         "\n"
+         "Says what airy bloom would run for this file with these options, without running it: of each\n"
+         "target the plan, its rule, how numbers are stored between the passes, the error bound, and the\n"
+         "time on the device as predicted. What would be skipped depends on the pixels, and is not known.\n"
+         "\n"
+         "Options: those of airy bloom (airy help bloom) that are not about outputs and ranges.\n"
+         "\n"
+         "Exit status: as airy bloom's.");
 }
 
 static void help_status(void)
@@ -149,17 +168,19 @@ static void help_status(void)
 enum cmd_exit cmd_help(int argc, char **argv)
 {
     if (argc > 2) {
-        cmd_complain("help: one topic expected: bloom or status");
+        cmd_complain("help: one topic expected: bloom, plan or status");
         return CMD_USAGE;
     }
     if (argc < 2)
         help_all();
     else if (strcmp(argv[1], "bloom") == 0)
         help_bloom();
+    else if (strcmp(argv[1], "plan") == 0)
+        help_plan();
     else if (strcmp(argv[1], "status") == 0)
         help_status();
     else {
-        cmd_complain("help: no topic \"%s\"; there are bloom and status", argv[1]);
+        cmd_complain("help: no topic \"%s\"; there are bloom, plan and status", argv[1]);
         return CMD_USAGE;
     }
     return CMD_DONE;

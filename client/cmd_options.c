@@ -74,11 +74,22 @@ static int unknown_option(const struct options *o, const char *arg, size_t len)
     return OPTIONS_WRONG;
 }
 
+/* Parameters have underscores on the wire, and dashes are what people type. */
+static bool same_name(const char *name, const char *word, size_t len)
+{
+    if (strlen(name) != len)
+        return false;
+    for (size_t i = 0; i < len; i++)
+        if (name[i] != word[i] && !(name[i] == '_' && word[i] == '-'))
+            return false;
+    return true;
+}
+
 static const struct option_row *row_find(const struct options *o, const char *arg, size_t len)
 {
     for (size_t i = 0; i < o->n_rows; i++) {
         const struct option_row *r = &o->rows[i];
-        if (arg[1] == '-' ? strlen(r->name) == len - 2 && memcmp(r->name, arg + 2, len - 2) == 0
+        if (arg[1] == '-' ? same_name(r->name, arg + 2, len - 2)
                           : len == 2 && r->letter && r->letter == arg[1])
             return r;
     }

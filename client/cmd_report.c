@@ -12,12 +12,14 @@
 /* All targets as one. */
 static struct airy_target total_of(const struct airy_result *r)
 {
-    struct airy_target sum = { .untouched = true, .plan = "", .rule = "" };
+    struct airy_target sum = { .untouched = true, .plan = "", .rule = "", .skipped = "", .storage = "" };
     for (unsigned i = 0; i < r->n_targets; i++) {
         const struct airy_target *t = &r->targets[i];
         if (i == 0 || t->error_bound > sum.error_bound) {
             sum.plan = t->plan;
             sum.rule = t->rule;
+            sum.skipped = t->skipped;
+            sum.storage = t->storage;
         }
         sum.error_bound = fmax(sum.error_bound, t->error_bound);
         sum.max_bright = fmax(sum.max_bright, t->max_bright);
@@ -29,6 +31,9 @@ static struct airy_target total_of(const struct airy_result *r)
         sum.energy_bright += t->energy_bright;
         sum.energy_bloomed += t->energy_bloomed;
         sum.energy_lost += t->energy_lost;
+        sum.energy_clamped += t->energy_clamped;
+        sum.energy_suppressed += t->energy_suppressed;
+        sum.predicted_ms += t->predicted_ms;
         sum.nan += t->nan;
         sum.positive_inf += t->positive_inf;
         sum.negative_inf += t->negative_inf;
@@ -61,6 +66,8 @@ static void json_measures(struct json *j, const struct airy_target *t)
     json_number(j, "bright", t->energy_bright);
     json_number(j, "bloomed", t->energy_bloomed);
     json_number(j, "lost", t->energy_lost);
+    json_number(j, "clamped", t->energy_clamped);
+    json_number(j, "suppressed", t->energy_suppressed);
     json_close(j, '}');
     json_open(j, "nonfinite", '{');
     json_count(j, "nan", t->nan);
@@ -78,6 +85,28 @@ static void json_measures(struct json *j, const struct airy_target *t)
     }
     json_close(j, '}');
     json_count(j, "saturated", t->saturated);
+    json_string(j, "skipped", t->skipped);
+    json_string(j, "storage", t->storage);
+    json_number(j, "predicted_ms", t->predicted_ms);
+}
+
+static void json_place(struct json *j, const struct airy_target *t)
+{
+    json_string(j, "name", t->name);
+    json_integer(j, "x", t->min_x);
+    json_integer(j, "y", t->min_y);
+    json_count(j, "width", t->width);
+    json_count(j, "height", t->height);
+    json_number(j, "exposure", t->exposure);
+}
+
+static void json_notes(struct json *j, const struct airy_result *r)
+{
+    json_string(j, "device", r->device);
+    json_open(j, "notes", '[');
+    for (unsigned i = 0; i < r->n_notes; i++)
+        json_string(j, NULL, r->notes[i]);
+    json_close(j, ']');
 }
 
 static void json_frame(struct json *j, const struct report_frame *f)
@@ -115,11 +144,7 @@ void report_json_done(const struct report_frame *f, const struct airy_result *r,
     for (unsigned i = 0; i < r->n_targets; i++) {
         const struct airy_target *t = &r->targets[i];
         json_open(&j, NULL, '{');
-        json_string(&j, "name", t->name);
-        json_integer(&j, "x", t->min_x);
-        json_integer(&j, "y", t->min_y);
-        json_count(&j, "width", t->width);
-        json_count(&j, "height", t->height);
+        json_place(&j, t);
         json_measures(&j, t);
         json_close(&j, '}');
     }
@@ -129,11 +154,31 @@ void report_json_done(const struct report_frame *f, const struct airy_result *r,
     json_number(&j, "exposure", r->exposure);
     json_count(&j, "bytes", r->size);
     json_times(&j, "ms", &r->ms, write_ms);
-    json_string(&j, "device", r->device);
-    json_open(&j, "notes", '[');
-    for (unsigned i = 0; i < r->n_notes; i++)
-        json_string(&j, NULL, r->notes[i]);
+    json_notes(&j, r);
+    json_close(&j, '}');
+    json_line(&j);
+}
+
+void report_json_plan(const char *input, const struct airy_result *r)
+{
+    struct json j = { .out = stdout };
+    json_open(&j, NULL, '{');
+    json_string(&j, "input", input);
+    json_open(&j, "targets", '[');
+    for (unsigned i = 0; i < r->n_targets; i++) {
+        const struct airy_target *t = &r->targets[i];
+        json_open(&j, NULL, '{');
+        json_place(&j, t);
+        json_string(&j, "plan", t->plan);
+        json_string(&j, "rule", t->rule);
+        json_count(&j, "levels", t->levels);
+        json_string(&j, "storage", t->storage);
+        json_number(&j, "error_bound", t->error_bound);
+        json_number(&j, "predicted_ms", t->predicted_ms);
+        json_close(&j, '}');
+    }
     json_close(&j, ']');
+    json_notes(&j, r);
     json_close(&j, '}');
     json_line(&j);
 }
@@ -214,11 +259,20 @@ static void target_paragraph(struct progress *p, const struct airy_target *t)
         progress_line(p, "    nothing glows: handed on as it was");
         return;
     }
-    progress_line(p, "    plan     %s", t->plan);
+    progress_line(p, "    plan     %s%s%s", t->plan, *t->storage ? "; stored as " : "", t->storage);
+    if (*t->skipped)
+        progress_line(p, "    skipped  %s", t->skipped);
     progress_line(p, "    error    <= %.2g of the brightest glowing value (%.4g), at every pixel",
                   t->error_bound, t->max_bright);
     progress_line(p, "    energy   %.4g in, %.4g bright, %.4g bloomed, %.4g lost at the borders",
                   t->energy_input, t->energy_bright, t->energy_bloomed, t->energy_lost);
+    if (t->energy_clamped > 0 || t->energy_suppressed > 0)
+        progress_line(p, "             %.4g taken by clamp, %.4g by firefly", t->energy_clamped,
+                      t->energy_suppressed);
+    if (t->exposure != 0)
+        progress_line(p, "    exposure %.4g stops", t->exposure);
+    if (t->predicted_ms > 0)
+        progress_line(p, "    device   %.1f ms predicted", t->predicted_ms);
     progress_line(p, "    tiles    %u of %u have a highlight", t->tiles_bright, t->tiles);
 }
 
@@ -239,6 +293,29 @@ void report_paragraph(struct progress *p, const struct report_frame *f, const st
     for (unsigned i = 0; i < r->n_notes; i++)
         progress_line(p, "  note       %s", r->notes[i]);
     warn_nonfinite(p, f, &sum);
+}
+
+static void plan_target(const struct airy_target *t)
+{
+    printf("  %s  %u x %u at %d,%d\n", t->name, t->width, t->height, t->min_x, t->min_y);
+    printf("    plan     %s\n", t->plan);
+    printf("    rule     %s, %u levels\n", t->rule, t->levels);
+    if (*t->storage)
+        printf("    storage  %s between the passes\n", t->storage);
+    printf("    error    <= %.2g of the brightest glowing value, at every pixel\n", t->error_bound);
+    if (t->predicted_ms > 0)
+        printf("    time     %.1f ms on the device, as predicted\n", t->predicted_ms);
+}
+
+void report_plan(const char *input, const struct airy_result *r)
+{
+    printf("%s\n", input);
+    for (unsigned i = 0; i < r->n_targets; i++)
+        plan_target(&r->targets[i]);
+    printf("  device     %s\n", r->device ? r->device : "?");
+    for (unsigned i = 0; i < r->n_notes; i++)
+        printf("  note       %s\n", r->notes[i]);
+    puts("  skipped    depends on the pixels: airy bloom says it");
 }
 
 void report_error(struct progress *p, const struct report_frame *f, const struct airy_error *e)

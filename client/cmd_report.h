@@ -27,6 +27,9 @@ void report_json_status(const struct airy_status *s);
 void report_line(struct progress *p, const struct report_frame *f, const struct airy_result *r);
 void report_paragraph(struct progress *p, const struct report_frame *f, const struct airy_result *r,
                       double write_ms);
+/* What would run, on standard output. */
+void report_plan(const char *input, const struct airy_result *r);
+void report_json_plan(const char *input, const struct airy_result *r);
 void report_error(struct progress *p, const struct report_frame *f, const struct airy_error *e);
 
 #endif

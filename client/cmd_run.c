@@ -11,12 +11,14 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "cmd_asset.h"
 #include "cmd_output.h"
 #include "cmd_report.h"
 
 enum {
     TRIES_MAX = 3,        /* of a frame whose daemon was lost, or that failed and may be tried again */
     BUSY_TRIES_MAX = 200, /* waits of up to 2 s */
+    CODE_NO_ASSET = 223,
     CODE_BUSY = 400,
     CODE_SHUTTING_DOWN = 502,
 };
@@ -30,6 +32,8 @@ struct run {
     bool hold;  /* the daemon is busy: submit nothing until something ends */
     bool abort; /* the request itself is wrong */
     bool failed;
+    bool assets_named, assets_sent; /* sent: to the daemon of this session */
+    struct airy_request request;    /* with the digests, once they are sent */
     enum cmd_exit status; /* CMD_DONE until a frame failed for good */
     struct session session;
     struct progress progress;
@@ -131,6 +135,7 @@ static void connection_lost(struct run *r, const struct airy_error *e)
             frame_fail(r, f, e, CMD_RETRY);
     }
     session_close(&r->session);
+    r->assets_sent = false;
 }
 
 /* No daemon to be had: said once, and of each frame in JSON. */
@@ -155,6 +160,9 @@ static void frame_refused(struct run *r, struct run_frame *f, const struct airy_
     enum cmd_exit exit = cmd_exit_of(e);
     if (e->code == CODE_SHUTTING_DOWN) {
         connection_lost(r, e);
+    } else if (e->code == CODE_NO_ASSET && r->assets_named && ++f->tries < TRIES_MAX) {
+        frame_again(r, f); /* the daemon gave it up for others */
+        r->assets_sent = false;
     } else if (e->code == CODE_BUSY && ++f->tries < BUSY_TRIES_MAX) {
         frame_again(r, f);
         r->hold = true;
@@ -171,7 +179,7 @@ static void frame_refused(struct run *r, struct run_frame *f, const struct airy_
 /* ---- in ----------------------------------------------------------------------------------------------
  */
 
-static int input_open(const char *path, char *why, size_t size)
+int run_input_open(const char *path, char *why, size_t size)
 {
     struct stat s;
     int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* a FIFO must not hold us up */
@@ -185,7 +193,7 @@ static int input_open(const char *path, char *why, size_t size)
 
 static void request_submit(struct run *r, struct run_frame *f, int input_fd)
 {
-    struct airy_request request = r->o->request;
+    struct airy_request request = r->request;
     struct airy_error e;
     request.input_fd = input_fd;
     if (airy_submit(r->session.airy, &request, &f->id, &e) == 0) {
@@ -200,12 +208,36 @@ static void request_submit(struct run *r, struct run_frame *f, int input_fd)
     }
 }
 
+/* What the request names by file is there before the first frame. True when it is. */
+static bool assets_ready(struct run *r, struct run_frame *f)
+{
+    struct airy_error e;
+    if (r->assets_sent)
+        return true;
+    r->request = r->o->request;
+    if (!r->assets_named || assets_send(r->session.airy, &r->o->request, &r->request, &e) == 0)
+        return r->assets_sent = true;
+    bool lost = airy_fd(r->session.airy) < 0;
+    if (!lost && !e.retryable) {
+        r->abort = true;
+        fail_all(r, &e);
+        return false;
+    }
+    if (++f->tries < TRIES_MAX)
+        pause_for(e.retry_after_ms);
+    else
+        frame_fail(r, f, &e, CMD_RETRY);
+    if (lost)
+        connection_lost(r, &e);
+    return false;
+}
+
 /* A daemon is looked for, or started, only when there is something to send. */
 static void frame_submit(struct run *r, struct run_frame *f)
 {
     char why[OUTPUT_WHY_MAX];
     struct airy_error e;
-    int fd = input_open(f->input, why, sizeof(why));
+    int fd = run_input_open(f->input, why, sizeof(why));
     if (fd < 0) {
         e = local_error(ENOENT, "input", why);
         frame_fail(r, f, &e, CMD_INPUT);
@@ -214,7 +246,7 @@ static void frame_submit(struct run *r, struct run_frame *f)
         frame_fail(r, f, &e, CMD_OUTPUT);
     } else if (!r->session.airy && session_open(&r->session, &r->o->session, &e) < 0) {
         fail_all(r, &e);
-    } else {
+    } else if (assets_ready(r, f)) {
         request_submit(r, f, fd);
     }
     if (fd >= 0)
@@ -261,6 +293,7 @@ static void receive_one(struct run *r)
 enum cmd_exit run_frames(const struct run_options *o, struct run_frame *frames, size_t n)
 {
     struct run r = { .o = o, .frames = frames, .n = n, .session = SESSION_NONE };
+    r.assets_named = assets_named(&o->request);
     progress_begin(&r.progress, n, o->quiet || (o->json && n == 1));
     while (r.ended < n && !r.abort) {
         while (r.first_open < n && frames[r.first_open].state == RUN_ENDED)

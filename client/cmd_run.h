@@ -25,10 +25,14 @@ struct run_frame {
 
 struct run_options {
     struct session_options session;
-    struct airy_request request; /* everything but the input */
+    struct airy_request request; /* everything but the input; files that it names are sent first */
     unsigned jobs;
     bool json, quiet, overwrite;
 };
+
+enum { RUN_WHY_MAX = 512 };
+/* A regular file for reading, or -1 and why. */
+int run_input_open(const char *path, char *why, size_t size);
 
 /* The exit status of the whole: that of the first frame that failed for good, else CMD_RETRY when any
  * failed at all, else CMD_DONE. A request that no frame can satisfy (a parameter) ends the run. */

@@ -13,9 +13,13 @@
 #include "airy.h"
 #include "body.h"
 
+/* What a request is to end in: RESULT with its output, RESULT without, ASSET_KEPT. */
+enum request_kind { REQUEST_BLOOM, REQUEST_PLAN, REQUEST_ASSET };
+
 struct request {
     struct request *next;
     struct airy *airy;
+    enum request_kind kind;
     uint64_t id, input_bytes;
     Airy__Output__Kind output_kind;
     void (*progress)(void *ctx, uint64_t id, const char *stage, double fraction);
@@ -23,6 +27,8 @@ struct request {
     bool sending; /* the conn still refers to the caller's data */
     bool ended;   /* result or error is set */
     struct airy_result *result;
+    struct airy_asset *kept; /* REQUEST_ASSET: the caller's, filled at the good end */
+    bool is_kept;
     struct airy_error error;
     uint8_t *got; /* inline output so far */
     uint64_t got_bytes, got_cap;

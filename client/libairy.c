@@ -277,6 +277,33 @@ static void on_result(struct request *r, const struct conn_message *m)
     end_request(r, lib_result_make(r, m, &e) < 0 ? &e : NULL);
 }
 
+static int on_kept(struct airy *a, struct request *r, const struct conn_message *m, struct airy_error *e)
+{
+    const Airy__AssetKept *b = unpack(a, &airy__asset_kept__descriptor, m, e);
+    if (!b)
+        return -1;
+    if (strlen(b->digest) >= sizeof(r->kept->digest))
+        return lib_fail(e, EPROTO, "digest", "the daemon's digest has %zu characters, 32 are expected",
+                        strlen(b->digest));
+    strcpy(r->kept->digest, b->digest);
+    r->kept->width = b->width;
+    r->kept->height = b->height;
+    r->is_kept = true;
+    end_request(r, NULL);
+    return 0;
+}
+
+// Of a message for a request: is it open, and may it end, or go on, so?
+static bool may_come(const struct request *r, enum wire_type type)
+{
+    bool is_asset = r && r->kind == REQUEST_ASSET;
+    if (type == WIRE_RESULT || type == WIRE_DATA)
+        return r && !r->ended && !is_asset;
+    if (type == WIRE_ASSET_KEPT)
+        return r && !r->ended && is_asset;
+    return type != WIRE_CANCELLED || (r && !r->ended);
+}
+
 // 0, or -1 and *e: the connection is to be lost. The message's descriptors are taken in every case.
 static int on_message(struct airy *a, const struct conn_message *m, struct airy_error *e)
 {
@@ -287,8 +314,7 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
     if (!a->welcome && type == WIRE_WELCOME)
         return on_welcome(a, m, e);
     struct request *r = find(a->open, id);
-    bool for_request = type == WIRE_RESULT || type == WIRE_CANCELLED || type == WIRE_DATA;
-    if (!a->welcome || type == WIRE_WELCOME || (for_request && (!r || r->ended))) {
+    if (!a->welcome || type == WIRE_WELCOME || !may_come(r, type)) {
         for (unsigned i = 0; i < m->header.n_fds; i++)
             close(m->fds[i]);
         return lib_fail(e, EPROTO, "", "the daemon sent %s for id %" PRIu64 ", which may not come %s",
@@ -303,6 +329,8 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
                                              .symbol = "CANCELLED",
                                              .text = "the request was cancelled" });
         return 0;
+    case WIRE_ASSET_KEPT:
+        return on_kept(a, r, m, e);
     case WIRE_DATA:
         return on_data(r, m, e);
     case WIRE_STATUS_REPLY:
@@ -511,7 +539,7 @@ const struct airy_limits *airy_limits(const struct airy *a) { return &a->limits;
 static int hand_out(struct airy *a, struct request *r, struct airy_result **out, struct airy_error *e)
 {
     unlink_request(&a->done, r);
-    int rc = r->result ? 1 : copy_error(e, &r->error);
+    int rc = r->result || r->is_kept ? 1 : copy_error(e, &r->error);
     if (r->result && out) {
         *out = r->result;
         r->result = NULL;

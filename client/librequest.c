@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// librequest.c - a struct airy_request as a BLOOM message, and its sending under the credits.
+// librequest.c - a struct airy_request as a BLOOM (or ASSET) message, and its sending under the credits.
 #include "lib_internal.h"
 
 #include <errno.h>
@@ -72,7 +72,6 @@ static int draft_input(struct draft *d, const struct airy_request *r, struct air
 {
     Airy__Payload *p = &d->input;
     airy__payload__init(p);
-    d->bloom.input = p;
     p->offset = r->offset;
     p->size = r->size;
     if (!r->data == (r->input_fd < 0))
@@ -145,7 +144,6 @@ static void draft_exr(struct draft *d, const struct airy_request *r)
 static int draft_output(struct draft *d, const struct airy_request *r, struct airy_error *e)
 {
     Airy__Output *o = &d->output;
-    airy__output__init(o);
     d->bloom.output = o;
     o->kind = r->inline_output ? AIRY__OUTPUT__KIND__INLINE : AIRY__OUTPUT__KIND__MEMFD;
     if (r->output_fd < 0)
@@ -163,6 +161,7 @@ static int draft_output(struct draft *d, const struct airy_request *r, struct ai
 static int draft_make(struct draft *d, const struct airy_request *r, struct airy_error *e)
 {
     airy__bloom__init(&d->bloom);
+    airy__output__init(&d->output);
     d->n_fds = 0;
     if (r->n_params > AIRY_PARAMS_MAX)
         return lib_fail(e, EINVAL, "n_params", "%u parameters, at most %d are possible", r->n_params,
@@ -177,7 +176,9 @@ static int draft_make(struct draft *d, const struct airy_request *r, struct airy
     d->bloom.params = d->param_list;
     d->bloom.n_params = r->n_params;
     d->bloom.progress = r->progress != NULL;
-    if (draft_input(d, r, e) < 0 || draft_output(d, r, e) < 0)
+    d->bloom.plan_only = r->plan_only;
+    d->bloom.input = &d->input;
+    if (draft_input(d, r, e) < 0 || (!r->plan_only && draft_output(d, r, e) < 0))
         return -1;
     if (r->width)
         return draft_raw(d, r, e);
@@ -201,10 +202,11 @@ static int wait_for_credit(struct airy *a, uint64_t bytes, struct airy_error *e)
     return a->conn ? 0 : -1;
 }
 
-// Queues BLOOM with descriptors of the conn's own.
-static int queue_bloom(struct airy *a, uint64_t id, const struct draft *d, struct airy_error *e)
+// Queues BLOOM or ASSET with descriptors of the conn's own.
+static int queue_first(struct airy *a, enum wire_type type, uint64_t id, const struct draft *d,
+                       const ProtobufCMessage *body, struct airy_error *e)
 {
-    int fds[WIRE_FDS_MAX];
+    int fds[WIRE_FDS_MAX] = { -1, -1 };
     unsigned n = 0;
     int err = 0;
     for (; n < d->n_fds && !err; n++)
@@ -213,7 +215,7 @@ static int queue_bloom(struct airy *a, uint64_t id, const struct draft *d, struc
             break;
         }
     if (!err)
-        err = body_send(a->conn, WIRE_BLOOM, id, &d->bloom.base, fds, n);
+        err = body_send(a->conn, type, id, body, fds, n);
     if (!err)
         return 0;
     while (n)
@@ -223,42 +225,91 @@ static int queue_bloom(struct airy *a, uint64_t id, const struct draft *d, struc
                                      : "the request cannot be queued");
 }
 
+// Queues the data, if it is inline. When that fails the message is on its way without its bytes: nothing on this
+// connection can be relied on.
+static void queue_data(struct airy *a, struct request *request, const struct airy_request *r)
+{
+    struct airy_error lost;
+    if (!r->data)
+        return;
+    request->sending = true;
+    if (conn_send_data(a->conn, request->id, (const uint8_t *)r->data + r->offset, r->size, lib_request_sent,
+                       request) == 0)
+        return;
+    request->sending = false;
+    lib_fail(&lost, ENOMEM, "", "no memory to send a payload");
+    lib_lose(a, &lost);
+}
+
+// A new request of this kind, sent: on the open list. NULL and *e.
+static struct request *request_send(struct airy *a, enum request_kind kind, const struct airy_request *r,
+                                    const struct draft *d, struct airy_error *e)
+{
+    struct request *request = calloc(1, sizeof(*request));
+    if (!request) {
+        lib_fail(e, ENOMEM, "", "no memory for a request");
+        return NULL;
+    }
+    request->airy = a;
+    request->kind = kind;
+    request->id = a->next_id;
+    request->input_bytes = d->input.size;
+    request->output_kind = d->output.kind;
+    request->progress = r->progress;
+    request->progress_ctx = r->progress_ctx;
+    Airy__Asset asset = AIRY__ASSET__INIT;
+    asset.input = (Airy__Payload *)&d->input;
+    bool is_asset = kind == REQUEST_ASSET;
+    if (queue_first(a, is_asset ? WIRE_ASSET : WIRE_BLOOM, request->id, d,
+                    is_asset ? &asset.base : &d->bloom.base, e) < 0) {
+        lib_request_free(request);
+        return NULL;
+    }
+    a->next_id++;
+    a->credit_bytes -= d->input.size;
+    request->next = a->open;
+    a->open = request;
+    a->open_count++;
+    return request;
+}
+
 int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e)
 {
     struct draft d;
     if (draft_make(&d, r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
         return -1;
-    struct request *request = calloc(1, sizeof(*request));
+    struct request *request = request_send(a, r->plan_only ? REQUEST_PLAN : REQUEST_BLOOM, r, &d, e);
     if (!request)
-        return lib_fail(e, ENOMEM, "", "no memory for a request");
-    request->airy = a;
-    request->id = a->next_id;
-    request->input_bytes = d.input.size;
-    request->output_kind = d.output.kind;
-    request->progress = r->progress;
-    request->progress_ctx = r->progress_ctx;
-    if (queue_bloom(a, request->id, &d, e) < 0) {
-        lib_request_free(request);
         return -1;
-    }
-    a->next_id++;
-    a->credit_bytes -= d.input.size;
-    request->next = a->open;
-    a->open = request;
-    a->open_count++;
     *id = request->id;
-    if (r->data) {
-        request->sending = true;
-        if (conn_send_data(a->conn, request->id, (const uint8_t *)r->data + r->offset, r->size,
-                           lib_request_sent, request) < 0) {
-            // BLOOM is on its way without its bytes: nothing on this connection can be relied on.
-            request->sending = false;
-            struct airy_error lost;
-            lib_fail(&lost, ENOMEM, "", "no memory to send a payload");
-            return lib_lose(a, &lost), 0;
-        }
-    }
+    queue_data(a, request, r);
     lib_step(a);
+    return 0;
+}
+
+int airy_asset(struct airy *a, int input_fd, const void *data, uint64_t size, struct airy_asset *out,
+               struct airy_error *e)
+{
+    struct airy_request r = AIRY_REQUEST_INIT;
+    struct draft d;
+    r.input_fd = input_fd;
+    r.data = data;
+    r.size = data ? size : 0;
+    d.n_fds = 0;
+    airy__output__init(&d.output);
+    if (draft_input(&d, &r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
+        return -1;
+    struct airy_asset kept = { .digest = "" };
+    struct request *request = request_send(a, REQUEST_ASSET, &r, &d, e);
+    if (!request)
+        return -1;
+    request->kept = &kept;
+    uint64_t id = request->id;
+    queue_data(a, request, &r);
+    // The only place where this id is known: whatever happens, it is waited for here.
+    if (airy_wait(a, id, -1, NULL, e) < 0)
+        return -1;
+    *out = kept;
     return 0;
 }
 

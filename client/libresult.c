@@ -94,7 +94,8 @@ static int take_output(struct airy_result *r, struct request *request, const Air
     static const Airy__Payload nothing = AIRY__PAYLOAD__INIT;
     if (!p)
         p = &nothing;
-    Airy__Payload__Kind want = expected[request->output_kind];
+    Airy__Payload__Kind want =
+        request->kind == REQUEST_PLAN ? AIRY__PAYLOAD__KIND__NONE : expected[request->output_kind];
     bool want_fd = want == AIRY__PAYLOAD__KIND__MEMFD;
     if (p->kind != want || p->fd != 0 || (r->fd >= 0) != want_fd)
         return lib_fail(e, EPROTO, "output.kind",
@@ -126,12 +127,18 @@ static void copy_target(struct airy_target *out, const Airy__Target *t)
         .max_bright = t->max_bright,
         .saturated = t->saturated,
         .first_channel = "",
+        .skipped = t->skipped,
+        .storage = t->storage,
+        .exposure = t->exposure,
+        .predicted_ms = t->predicted_ms,
     };
     if (t->energy) {
         out->energy_input = t->energy->input;
         out->energy_bright = t->energy->bright;
         out->energy_bloomed = t->energy->bloomed;
         out->energy_lost = t->energy->lost;
+        out->energy_clamped = t->energy->clamped;
+        out->energy_suppressed = t->energy->suppressed;
     }
     if (t->nonfinite) {
         out->nan = t->nonfinite->nan;

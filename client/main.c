@@ -38,8 +38,9 @@ enum cmd_exit cmd_exit_of(const struct airy_error *e)
 
 static enum cmd_exit dispatch(int argc, char **argv)
 {
-    static const char *const names[] = { "bloom", "status", "help" };
-    static enum cmd_exit (*const commands[])(int, char **) = { cmd_bloom, cmd_status, cmd_help };
+    static const char *const names[] = { "bloom", "plan", "status", "help" };
+    static enum cmd_exit (*const commands[])(int, char **) = { cmd_bloom, cmd_plan, cmd_status, cmd_help };
+    enum { COMMANDS = sizeof(commands) / sizeof(commands[0]) };
     const char *word = argc > 1 ? argv[1] : "";
     if (strcmp(word, "--help") == 0 || strcmp(word, "-h") == 0)
         word = "help";
@@ -47,10 +48,10 @@ static enum cmd_exit dispatch(int argc, char **argv)
         puts("airy " AIRY_VERSION);
         return CMD_DONE;
     }
-    for (unsigned i = 0; i < 3; i++)
+    for (unsigned i = 0; i < COMMANDS; i++)
         if (strcmp(word, names[i]) == 0)
             return commands[i](argc - 1, argv + 1);
-    const char *best = *word ? nearest_name(word, names, 3) : NULL;
+    const char *best = *word ? nearest_name(word, names, COMMANDS) : NULL;
     if (!*word)
         cmd_complain("what to do? airy bloom IN OUT, or see airy --help");
     else if (best)

@@ -490,6 +490,7 @@ void bloom_destroy(struct bloom *b)
         vk_arena_free(&b->vk, &b->targets.memory);
         for (unsigned i = 0; i < b->slots; i++)
             slot_destroy(&b->vk, &b->slot[i]);
+        slot_destroy(&b->vk, &b->warm_slot);
         for (unsigned i = 0; i < b->pipelines; i++)
             vk_pipeline_destroy(&b->vk, &b->pipeline[i].pipeline);
         vk_buffer_free(&b->vk, &b->uniforms);

@@ -42,6 +42,10 @@ int bloom_create(struct bloom **out, const struct bloom_options *options, struct
 void bloom_destroy(struct bloom *b);
 const struct bloom_device_info *bloom_device(const struct bloom *b);
 unsigned bloom_validation_messages(const struct bloom *b);
+/* Draws with pipelines that have not drawn yet, a few at a time (up to some 0.3 s each call when the driver has none in
+ * its cache), beside the slots. True while there is more; false when all have drawn, or with *f (code not FAULT_NONE) when one
+ * failed. On the device thread. */
+bool bloom_warm_next(struct bloom *b, struct fault *f);
 /* Pipelines that have been made (and so have drawn), and how many there are for plain requests; those that few
  * ask for are made when they are first needed. */
 unsigned bloom_pipelines(const struct bloom *b, unsigned *possible);

@@ -195,6 +195,8 @@ struct bloom {
     uint32_t prepared_pad;            /* of the ledger */
     unsigned slots;
     struct bloom_slot slot[8];
+    struct bloom_slot warm_slot; /* for first draws: the others' planes are in use */
+    unsigned warmed;             /* steps of bloom_warm_next that are done */
 };
 
 /* ---- one frame being bloomed ----------------------------------------------------------------------- */

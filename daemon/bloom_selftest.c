@@ -109,7 +109,7 @@ static void paint(const struct trial *t, const struct planes *in)
     }
 }
 
-static int run_trial(struct bloom *b, const struct trial *t, struct fault *f)
+static int run_trial(struct bloom *b, struct bloom_slot *s, const struct trial *t, struct fault *f)
 {
     struct params p;
     struct planes in, out[BLOOM_OUTPUTS_MAX];
@@ -120,7 +120,7 @@ static int run_trial(struct bloom *b, const struct trial *t, struct fault *f)
     p.threshold = 1;
     p.tolerance = t->tolerance;
     if (params_set_text(&p, "psf", t->psf, f) < 0 ||
-        bloom_slot_prepare(b, &b->slot[0], 1, &t->geometry, &in, out, f) < 0)
+        bloom_slot_prepare(b, s, 1, &t->geometry, &in, out, f) < 0)
         return -1;
     if (frame_scan_init(&scan, in.width, in.height) < 0)
         return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the self-test");
@@ -129,7 +129,7 @@ static int run_trial(struct bloom *b, const struct trial *t, struct fault *f)
     paint(t, &in);
     for (uint32_t y = 0; y < in.height; y++)
         frame_scan_row(&scan, &in, y, request.luma);
-    int r = bloom_run(b, &b->slot[0], 0, &request, &reply, f);
+    int r = bloom_run(b, s, 0, &request, &reply, f);
     if (r == 0 && t->points)
         r = compare(&out[0], &p, &reply, f);
     frame_scan_finish(&scan);
@@ -139,46 +139,59 @@ static int run_trial(struct bloom *b, const struct trial *t, struct fault *f)
 static int one(struct bloom *b, unsigned channels, enum pixel_type type, const char *psf, double tolerance, struct fault *f)
 {
     const struct trial t = { { SIZE, SIZE, channels, type, 0, 1 }, BRIGHT_CHANNEL, psf, tolerance, true };
-    return run_trial(b, &t, f);
+    return run_trial(b, &b->slot[0], &t, f);
 }
 
-static int warm(struct bloom *b, const struct bloom_geometry *g, enum bright_curve curve, const char *psf,
-                double tolerance, struct fault *f)
+static int warm(struct bloom *b, struct bloom_slot *s, const struct bloom_geometry *g, enum bright_curve curve,
+                const char *psf, double tolerance, struct fault *f)
 {
     const struct trial t = { *g, curve, psf, tolerance, false };
-    return run_trial(b, &t, f);
+    return run_trial(b, s, &t, f);
+}
+
+// The first octave's order, and none, decides the bright pass and the composite.
+static const struct warm_plan { const char *psf; double tolerance; } plans[] = {
+    { "gaussians:sigma=30,weight=1", 1e-2 },         // b4 first
+    { "gaussians:sigma=4/8/20,weight=.3", 1e-3 },    // b6 first
+    { "gaussians:sigma=8/16/17,weight=.3", 1e-4 },   // b8 first
+    { "gaussians:sigma=1/1.8/3/6,weight=.2", 1e-5 }, // full size
+};
+// These ask for the reaches and octaves that are left; tests/test_engine.c counts that none is.
+static const struct warm_plan rest[] = {
+    { "gaussians:sigma=1/30,weight=.5", 1e-2 },
+    { "gaussians:sigma=1/1.2/2.7/2.75,weight=.2", 1e-2 },
+    { "gaussians:sigma=2.5/2.6,weight=.5", 1e-3 },
+    { "gaussians:sigma=4/7/32/33/60/61,weight=.1", 1e-5 },
+    { "gaussians:sigma=4/59,weight=1", 1e-5 },
+};
+enum { PLANS = sizeof(plans) / sizeof(plans[0]), REST = sizeof(rest) / sizeof(rest[0]), CURVES = BRIGHT_SMOOTHSTEP + 1 };
+
+bool bloom_warm_next(struct bloom *b, struct fault *f)
+{
+    const unsigned step = b->warmed++;
+    struct bloom_geometry g = { 4, 4, 3, PIXEL_TYPE_HALF, 0, 1 };
+    const struct warm_plan *p = rest;
+    enum bright_curve curve = BRIGHT_KNEE;
+    *f = (struct fault){ .code = FAULT_NONE };
+    if (step >= REST + PLANS * 4 * CURVES)
+        return false;
+    if (step < REST) {
+        p = &rest[step];
+    } else {
+        const unsigned n = step - REST;
+        curve = (enum bright_curve)(n % CURVES);
+        g.type = n / CURVES % 2 ? PIXEL_TYPE_FLOAT : PIXEL_TYPE_HALF;
+        g.channels = n / CURVES / 2 % 2 ? 3 : 1;
+        p = &plans[n / CURVES / 4];
+    }
+    return warm(b, &b->warm_slot, &g, curve, p->psf, p->tolerance, f) == 0;
 }
 
 static int warm_all(struct bloom *b, struct fault *f)
 {
-    // The first octave's order, and none, decides the bright pass and the composite.
-    static const struct { const char *psf; double tolerance; } plans[] = {
-        { "gaussians:sigma=30,weight=1", 1e-2 },         // b4 first
-        { "gaussians:sigma=4/8/20,weight=.3", 1e-3 },    // b6 first
-        { "gaussians:sigma=8/16/17,weight=.3", 1e-4 },   // b8 first
-        { "gaussians:sigma=1/1.8/3/6,weight=.2", 1e-5 }, // full size
-    };
-    // These ask for the reaches and octaves that are left; tests/test_engine.c counts that none is.
-    static const struct { const char *psf; double tolerance; } rest[] = {
-        { "gaussians:sigma=1/30,weight=.5", 1e-2 },
-        { "gaussians:sigma=1/1.2/2.7/2.75,weight=.2", 1e-2 },
-        { "gaussians:sigma=2.5/2.6,weight=.5", 1e-3 },
-        { "gaussians:sigma=4/7/32/33/60/61,weight=.1", 1e-5 },
-        { "gaussians:sigma=4/59,weight=1", 1e-5 },
-    };
-    const struct bloom_geometry any = { 4, 4, 3, PIXEL_TYPE_HALF, 0, 1 };
-    for (unsigned i = 0; i < sizeof(rest) / sizeof(rest[0]); i++)
-        if (warm(b, &any, BRIGHT_KNEE, rest[i].psf, rest[i].tolerance, f) < 0)
-            return -1;
-    for (unsigned i = 0; i < sizeof(plans) / sizeof(plans[0]); i++)
-        for (unsigned channels = 1; channels <= 3; channels += 2)
-            for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++)
-                for (int curve = BRIGHT_NONE; curve <= BRIGHT_SMOOTHSTEP; curve++) {
-                    const struct bloom_geometry g = { 4, 4, channels, (enum pixel_type)type, 0, 1 };
-                    if (warm(b, &g, (enum bright_curve)curve, plans[i].psf, plans[i].tolerance, f) < 0)
-                        return -1;
-                }
-    return 0;
+    while (bloom_warm_next(b, f))
+        ;
+    return f->code == FAULT_NONE ? 0 : -1;
 }
 
 int bloom_self_test(struct bloom *b, bool all, struct fault *f)
@@ -192,7 +205,7 @@ int bloom_self_test(struct bloom *b, bool all, struct fault *f)
     // The default curve at the default look's first octave.
     for (int type = PIXEL_TYPE_HALF; type <= PIXEL_TYPE_FLOAT; type++) {
         const struct bloom_geometry g = { 4, 4, 3, (enum pixel_type)type, 0, 1 };
-        if (warm(b, &g, BRIGHT_KNEE, wide, 1e-3, f) < 0)
+        if (warm(b, &b->slot[0], &g, BRIGHT_KNEE, wide, 1e-3, f) < 0)
             return -1;
     }
     return all ? warm_all(b, f) : 0;

@@ -228,7 +228,7 @@ static int send_result(struct client *c, struct job *j, bool *kept)
         j->output_held = bytes;
         c->host->held_bytes += bytes;
     }
-    return reply_result(c->conn, j, &c->host->facts);
+    return j->kind == JOB_KEEPS ? reply_kept(c->conn, j) : reply_result(c->conn, j, &c->host->facts);
 }
 
 static void note_end(struct client_host *host, struct job *j)
@@ -238,8 +238,10 @@ static void note_end(struct client_host *host, struct job *j)
     if (j->finished && !j->overrun) {
         m->done++;
         m->bytes_out += j->output_kind == JOB_OUTPUT_BUFFER ? j->input_bytes : j->output.size;
-        for (unsigned i = 0; i < j->n_targets; i++)
-            m->pixels += (uint64_t)j->target[i].width * j->target[i].height;
+        if (j->kind != JOB_BLOOMS) // their times would say nothing of a frame's
+            return;
+        for (unsigned i = 0; i < j->n_scenes; i++)
+            m->pixels += (uint64_t)j->scene[i].width * j->scene[i].height;
         metrics_note(m, &j->ms);
     } else if (j->fault.code != FAULT_NONE || j->overrun) {
         m->failed++;
@@ -285,7 +287,7 @@ void client_job_done(struct client_host *host, struct job *j)
     flush(c);
 }
 
-// ---- BLOOM, DATA, CANCEL ---------------------------------------------------------------------------
+// ---- BLOOM, ASSET, DATA, CANCEL ------------------------------------------------------------------------
 
 static int busy(const struct client *c, struct fault *f, const char *what, uint64_t found, uint64_t limit)
 {
@@ -341,14 +343,43 @@ static int start(struct client *c, struct job *j, uint64_t bytes, struct fault *
     return 0;
 }
 
+static void close_fds(const struct conn_message *m)
+{
+    for (unsigned i = 0; i < m->header.n_fds; i++)
+        close(m->fds[i]);
+}
+
+// The body of a BLOOM or an ASSET, unpacked.
+struct ask {
+    const Airy__Bloom *bloom; // one of the two
+    const Airy__Asset *asset;
+    const Airy__Payload *input; // may be NULL
+};
+
+static int ask_read(struct client *c, const struct conn_message *m, struct ask *a, struct fault *f)
+{
+    bool is_asset = m->header.type == WIRE_ASSET;
+    void *body = body_unpack(is_asset ? &airy__asset__descriptor : &airy__bloom__descriptor, m->body,
+                             m->header.body_bytes, &c->arena, f);
+    if (!body)
+        return -1;
+    if (!m->header.id)
+        return fault_set(f, FAULT_UNEXPECTED, "id", "%s with request id 0; expected any other",
+                         wire_type_name(m->header.type));
+    if (is_asset)
+        a->asset = body;
+    else
+        a->bloom = body;
+    a->input = is_asset ? a->asset->input : a->bloom->input;
+    return 0;
+}
+
 // A fresh job from the message, or NULL and *f. Takes the descriptors.
-static struct job *make_job(struct client *c, const struct conn_message *m, const Airy__Bloom *b,
-                            struct fault *f)
+static struct job *make_job(struct client *c, const struct conn_message *m, const struct ask *a, struct fault *f)
 {
     struct job *j = job_create(&c->host->job);
     if (!j) {
-        for (unsigned i = 0; i < m->header.n_fds; i++)
-            close(m->fds[i]);
+        close_fds(m);
         fault_set(f, FAULT_NO_MEMORY, "", "no memory for a request");
         return NULL;
     }
@@ -356,41 +387,32 @@ static struct job *make_job(struct client *c, const struct conn_message *m, cons
     j->host = c->host;
     j->client = c;
     j->id = m->header.id;
-    if (request_read(j, b, m->fds, m->header.n_fds, f) < 0 || start(c, j, b->input->size, f) < 0) {
+    int rc = a->asset ? request_read_asset(j, a->asset, m->fds, m->header.n_fds, f)
+                      : request_read(j, a->bloom, m->fds, m->header.n_fds, f);
+    if (rc < 0 || start(c, j, a->input->size, f) < 0) {
         job_drop(c->host, j);
         return NULL;
     }
     return j;
 }
 
-static void close_fds(const struct conn_message *m)
-{
-    for (unsigned i = 0; i < m->header.n_fds; i++)
-        close(m->fds[i]);
-}
-
-static void on_bloom(struct client *c, const struct conn_message *m)
+static void on_ask(struct client *c, const struct conn_message *m)
 {
     struct fault f = { .code = FAULT_NONE };
     uint64_t id = m->header.id;
-    const Airy__Bloom *b =
-        body_unpack(&airy__bloom__descriptor, m->body, m->header.body_bytes, &c->arena, &f);
-    if (b && !id) {
-        fault_set(&f, FAULT_UNEXPECTED, "id", "a BLOOM with request id 0; expected any other");
-        b = NULL;
-    }
-    if (!b) {
+    struct ask a = { 0 };
+    if (ask_read(c, m, &a, &f) < 0) {
         close_fds(m);
         refuse(c, id, 0, &f);
         return;
     }
-    uint64_t bytes = b->input ? b->input->size : 0;
-    bool is_inline = b->input && b->input->kind == AIRY__PAYLOAD__KIND__INLINE;
+    uint64_t bytes = a.input ? a.input->size : 0;
+    bool is_inline = a.input && a.input->kind == AIRY__PAYLOAD__KIND__INLINE;
     struct job *j = NULL;
     if (admit(c, id, bytes, is_inline, &f) < 0)
         close_fds(m);
     else
-        j = make_job(c, m, b, &f);
+        j = make_job(c, m, &a, &f);
     // The client has counted its bytes off in any case, and gets them back.
     if (!j)
         refuse(c, id, bytes, &f);
@@ -497,7 +519,8 @@ static void dispatch(struct client *c, const struct conn_message *m)
 {
     if (c->state == CLIENT_READY) {
         switch (m->header.type) {
-        case WIRE_BLOOM: on_bloom(c, m); return;
+        case WIRE_BLOOM:
+        case WIRE_ASSET: on_ask(c, m); return;
         case WIRE_DATA: on_data(c, m); return;
         case WIRE_CANCEL: on_cancel(c, m); return;
         case WIRE_STATUS: on_status(c, m); return;
@@ -671,7 +694,6 @@ void client_destroy(struct client *c)
 }
 
 bool client_dead(const struct client *c) { return c->state == CLIENT_DEAD; }
-int client_fd(const struct client *c) { return conn_fd(c->conn); }
 
 void client_drain(struct client *c)
 {

@@ -5,7 +5,7 @@
  *     HELLO -> READY -> CLOSING (an error is being written) -> LINGER (written; the peer may still
  *     read it) -> dead
  *
- * Invariants: every BLOOM that is taken gets exactly one terminal reply, or the connection ends. Credit
+ * Invariants: every BLOOM and ASSET that is taken gets exactly one terminal reply, or the connection ends. Credit
  * and the place in max_requests come back only when the reply's last byte has been written, so what a
  * client who does not read can pile up here is bounded by its credit. What it sends is not read while 256
  * replies wait for it.
@@ -27,6 +27,7 @@ struct client_host { /* what the clients of one server share; the server's */
     struct reply_facts facts;
     struct job_env job;
     struct block_pool blocks;
+    struct asset_cache assets;
     struct metrics metrics;
     struct client_timeouts timeout;
     unsigned clients;
@@ -42,7 +43,6 @@ struct client *client_create(struct client_host *host, int fd);
 void client_destroy(struct client *c);
 bool client_dead(const struct client *c); /* to be destroyed, when nobody looks at it any more */
 
-int client_fd(const struct client *c);
 uint32_t client_events(const struct client *c); /* EPOLLIN, EPOLLOUT */
 void client_event(struct client *c, uint32_t events);
 void client_tick(struct client *c, uint64_t now_ns); /* time-outs */

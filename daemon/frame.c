@@ -24,6 +24,8 @@ enum { LANES = 8 };
 
 // ---- planes -----------------------------------------------------------------------------------------
 
+const float frame_rec709[3] = { 0.212639019f, 0.715168655f, 0.0721923187f };
+
 int planes_alloc(struct planes *p, uint32_t width, uint32_t height, unsigned count,
                  enum pixel_type type)
 {

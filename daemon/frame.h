@@ -21,6 +21,10 @@ enum pixel_type { PIXEL_TYPE_UINT = 0, PIXEL_TYPE_HALF = 1, PIXEL_TYPE_FLOAT = 2
 
 static inline unsigned pixel_bytes(enum pixel_type t) { return t == PIXEL_TYPE_HALF ? 2 : 4; }
 
+/* Relative luminance of Rec.709's R, G, B (METHODS' .2126 .7152 .0722, unrounded). One home, so that a picture blooms alike
+ * to the bit raw and as EXR without chromaticities. */
+extern const float frame_rec709[3];
+
 enum { PLANES_PHASES_MAX = 4 };
 
 struct planes {

@@ -4,19 +4,14 @@
 
 #include <assert.h>
 #include <errno.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#define XXH_INLINE_ALL
-#include <xxhash.h>
-
 #include "airy.h"
 
-// METHODS' .2126 .7152 .0722, unrounded: the same weights to the bit as a file without chromaticities gets,
-// so that a picture blooms alike raw and as EXR.
-static const float rec709[3] = { 0.212639019f, 0.715168655f, 0.0721923187f };
 static const float alone[3] = { 1, 0, 0 };
 
 struct job *job_create(const struct job_env *env)
@@ -31,14 +26,23 @@ struct job *job_create(const struct job_env *env)
     return j;
 }
 
+static void scan_clear(struct frame_scan *s)
+{
+    if (s->tile_luma)
+        frame_scan_finish(s);
+    s->tile_luma = NULL;
+}
+
 // All but what the reply needs.
 static void release_work(struct job *j)
 {
     exr_close(j->exr);
     j->exr = NULL;
-    if (j->raw_scan.tile_luma)
-        frame_scan_finish(&j->raw_scan);
-    j->raw_scan.tile_luma = NULL;
+    for (unsigned i = 0; i < RAW_ROLES; i++)
+        scan_clear(&j->raw_scan[i]);
+    asset_release(j->env->assets, j->dirt);
+    asset_release(j->env->assets, j->kernel);
+    j->dirt = j->kernel = NULL;
     payload_finish(&j->input, j->env->blocks);
 }
 
@@ -51,7 +55,7 @@ void job_destroy(struct job *j)
     free(j);
 }
 
-bool job_stage_on_device(enum job_stage s) { return s == JOB_PREPARE || s == JOB_BLOOM; }
+bool job_stage_on_device(enum job_stage s) { return s == JOB_PLAN || s == JOB_PREPARE || s == JOB_BLOOM; }
 
 unsigned job_tasks(const struct job *j)
 {
@@ -85,65 +89,147 @@ static int load(struct job *j, struct fault *f)
 // The same request on the same bytes has the same stamp: no times, no names of hosts or users.
 static void stamp(struct job *j)
 {
-    XXH128_canonical_t digest;
-    XXH128_canonicalFromHash(&digest, XXH3_128bits(j->input.data, j->input.size));
-    char hex[2 * sizeof digest.digest + 1];
-    for (size_t i = 0; i < sizeof digest.digest; i++)
-        snprintf(hex + 2 * i, 3, "%02x", digest.digest[i]);
-    char params[JOB_STAMP_MAX - 128];
+    char hex[ASSET_DIGEST_MAX], params[JOB_STAMP_MAX - 128];
+    asset_digest(hex, j->input.data, j->input.size);
     int n = params_print(&j->params, params, sizeof params);
     assert(n >= 0 && (size_t)n < sizeof params);
+    (void)n;
     snprintf(j->stamp, sizeof j->stamp, "airyd %s; params: %s; input xxh3:%s", AIRY_VERSION, params, hex);
     j->exr_options.stamp = j->stamp;
+}
+
+// The width by which the target's window grows: capped by what any frame may have. 0, or -1 and *f.
+static int grow_read(const struct job *j, struct exr_target *t, struct fault *f)
+{
+    const struct exr_limits *l = &j->env->limits.exr;
+    double pixels = ceil(params_pixels(&j->params, &j->params.grow_size, t->width, t->height,
+                                       t->display_width ? t->display_width : t->width, t->pixel_aspect));
+    if (!(pixels > 0))
+        return 0;
+    uint64_t n = pixels < 1e9 ? (uint64_t)pixels : UINT64_C(1000000000);
+    uint64_t width = t->width + 2 * n, height = t->height + 2 * n;
+    if (width > l->max_width || height > l->max_height || width * height > l->max_pixels)
+        return fault_set(f, FAULT_PARAM_RANGE, "params.grow",
+                         "%.0f pixels on each side make %.80s %llu x %llu; at most %u x %u and %llu pixels are taken",
+                         pixels, t->name, (unsigned long long)width, (unsigned long long)height, l->max_width,
+                         l->max_height, (unsigned long long)l->max_pixels);
+    int64_t right = (int64_t)t->min_x + t->width - 1, bottom = (int64_t)t->min_y + t->height - 1;
+    if (t->min_x - (int64_t)n < INT32_MIN || t->min_y - (int64_t)n < INT32_MIN || right + (int64_t)n > INT32_MAX ||
+        bottom + (int64_t)n > INT32_MAX)
+        return fault_set(f, FAULT_PARAM_RANGE, "params.grow",
+                         "%llu pixels on each side take the data window of %.80s beyond what a file can say",
+                         (unsigned long long)n, t->name);
+    t->grow = (uint32_t)n;
+    return 0;
+}
+
+// Extra layers and grown windows multiply what one small file asks for: held to what decoded files are.
+static int output_check(const struct job *j, struct fault *f)
+{
+    uint64_t bytes = 0, max = j->env->limits.exr.max_decoded_bytes;
+    for (unsigned i = 0; i < j->n_targets; i++) {
+        const struct exr_target *t = exr_target(j->exr, i);
+        if (t->role == EXR_SCENE) // each factor is within the reader's limits: below 2^60 a target
+            bytes += ((uint64_t)t->width + 2 * t->grow) * ((uint64_t)t->height + 2 * t->grow) * t->channels *
+                     pixel_bytes(t->type) * (1 + j->params.layer_count);
+    }
+    bool asked = j->params.layer_count || j->params.grow_size.value > 0;
+    if (!asked || bytes <= max)
+        return 0;
+    return fault_set(f, FAULT_LIMIT, j->params.layer_count ? "params.layers" : "params.grow",
+                     "the pixels of the result are %llu bytes; at most %llu are made", (unsigned long long)bytes,
+                     (unsigned long long)max);
+}
+
+static int open_targets(struct job *j, struct fault *f)
+{
+    unsigned n = exr_target_count(j->exr);
+    if (n > BLOOM_TARGETS_MAX)
+        return fault_set(f, FAULT_LIMIT, "exr.part",
+                         "%u layers would be bloomed or read for it; at most %d at once: select some", n,
+                         BLOOM_TARGETS_MAX);
+    j->n_targets = n;
+    for (unsigned i = 0; i < n; i++)
+        if (grow_read(j, exr_target(j->exr, i), f) < 0)
+            return -1;
+    return output_check(j, f);
 }
 
 static int open_exr(struct job *j, struct fault *f)
 {
     stamp(j);
-    struct exr_select select = { .part = j->part, .layer = j->layer, .view = j->view };
+    struct exr_select select = { .part = j->part,
+                                 .layer = j->layer,
+                                 .view = j->view,
+                                 .source = j->params.source,
+                                 .matte = j->params.matte,
+                                 .depth = j->params.sun_spec.given };
+    j->exr_options.extras = j->params.layer_count;
+    for (unsigned i = 0; i < j->params.layer_count; i++) {
+        params_view_name(&j->params.layer[i], j->extra_name[i]);
+        j->exr_options.extra_name[i] = j->extra_name[i];
+    }
     if (exr_open(&j->exr, j->input.data, j->input.size, &j->env->limits.exr, &select, &j->exr_options, f) < 0)
         return -1;
-    j->n_targets = exr_target_count(j->exr);
-    if (j->n_targets > BLOOM_TARGETS_MAX) {
-        unsigned n = j->n_targets;
-        j->n_targets = 0;
-        return fault_set(f, FAULT_LIMIT, "exr.part", "%u layers would be bloomed; at most %d at once: select some",
-                         n, BLOOM_TARGETS_MAX);
-    }
-    return 0;
+    return open_targets(j, f);
+}
+
+static int scan_make(struct frame_scan *s, const struct raw_layout *l, struct fault *f)
+{
+    if (frame_scan_init(s, l->width, l->height) == 0)
+        return 0;
+    s->tile_luma = NULL;
+    return fault_set(f, FAULT_NO_MEMORY, "raw", "no memory for the frame's tiles");
 }
 
 static int open_raw(struct job *j, struct fault *f)
 {
+    struct raw_layout *l = &j->layout;
     // A file of unstated size is measured only now.
-    if (!j->layout.planes && raw_check(&j->layout, j->input.size, f) < 0)
+    if (!l->targets && raw_check(l, j->input.size, f) < 0)
         return -1;
-    if (frame_scan_init(&j->raw_scan, j->layout.width, j->layout.height) < 0) {
-        j->raw_scan.tile_luma = NULL;
-        return fault_set(f, FAULT_NO_MEMORY, "raw", "no memory for the frame's tiles");
-    }
-    j->n_targets = 1;
+    for (unsigned i = 0; i < l->targets; i++)
+        if (l->target[i].role != RAW_DEPTH && scan_make(&j->raw_scan[i], l, f) < 0)
+            return -1;
+    j->n_targets = l->targets;
     return 0;
 }
 
-static int job_open(struct job *j, struct fault *f)
+static int keep(struct job *j, struct exr_worker *w, struct fault *f)
+{
+    struct asset *a = NULL;
+    if (asset_keep(j->env->assets, j->input.data, j->input.size, &j->env->limits.exr, w, &j->cancel, &a, f) < 0)
+        return -1;
+    if (a) {
+        j->kept = a->image;
+        j->kept.rgb = NULL;
+    }
+    asset_release(j->env->assets, a);
+    return 0;
+}
+
+static int job_open(struct job *j, struct exr_worker *w, struct fault *f)
 {
     if (load(j, f) < 0)
         return -1;
     j->input_bytes = j->input.size;
+    if (j->kind == JOB_KEEPS)
+        return keep(j, w, f);
     return j->raw ? open_raw(j, f) : open_exr(j, f);
 }
 
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX])
 {
-    if (j->raw) {
-        g[0] = (struct bloom_geometry){ j->layout.width, j->layout.height, j->layout.planes, j->layout.type, 0, 1 };
-        return 1;
-    }
+    const struct raw_layout *l = &j->layout;
     for (unsigned i = 0; i < j->n_targets; i++) {
+        if (j->raw) {
+            const struct raw_target *t = &l->target[i];
+            g[i] = (struct bloom_geometry){ l->width, l->height, t->planes, t->type, 0, t->role == RAW_SCENE };
+            continue;
+        }
         const struct exr_target *t = exr_target(j->exr, i);
         g[i] = (struct bloom_geometry){ t->width, t->height, t->channels, t->type, t->grow,
-                                         t->role == EXR_SCENE ? 1 + j->params.layer_count : 0 };
+                                        t->role == EXR_SCENE ? 1 + j->params.layer_count : 0 };
     }
     return j->n_targets;
 }
@@ -151,7 +237,7 @@ unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS
 void job_bind(struct job *j, const struct planes *in, const struct planes *out)
 {
     if (j->raw) {
-        j->raw_in = in[0];
+        memcpy(j->raw_in, in, j->n_targets * sizeof *in);
         j->raw_out = out[0];
         return;
     }
@@ -159,9 +245,9 @@ void job_bind(struct job *j, const struct planes *in, const struct planes *out)
         exr_bind(j->exr, i, &in[i], &out[(size_t)i * BLOOM_OUTPUTS_MAX]);
 }
 
-// ---- BLOOM ---------------------------------------------------------------------------------------
+// ---- PLAN, BLOOM -----------------------------------------------------------------------------------
 
-static const float *luma_of(const struct job *j) { return j->layout.planes == 3 ? rec709 : alone; }
+static const float *luma_of(const struct job *j) { return j->layout.target[0].planes == 3 ? frame_rec709 : alone; }
 
 static const char *channel_name(const struct job_target *t, unsigned c)
 {
@@ -184,7 +270,7 @@ static void describe_raw(struct job_target *out, const struct raw_layout *l)
     snprintf(out->name, sizeof out->name, "beauty");
     out->width = l->width;
     out->height = l->height;
-    out->channels = l->planes;
+    out->channels = l->target[0].planes;
 }
 
 static void count_samples(struct job_target *out, const struct frame_scan *s)
@@ -209,22 +295,78 @@ static int reject_nonfinite(const struct job_target *t, struct fault *f)
                      (long long)t->min_y + (long long)(at >> 34), channel_name(t, (unsigned)(at & 3)));
 }
 
-static int bloom_target(struct job *j, unsigned i, struct bloom *b, struct bloom_slot *s, struct fault *f)
+static void request_raw(const struct job *j, struct bloom_request *r)
 {
-    struct job_target *out = &j->target[i];
-    struct exr_target *t = j->raw ? NULL : exr_target(j->exr, i);
-    const struct frame_scan *scan = t ? &t->scan : &j->raw_scan;
-    if (t)
-        describe(out, t);
-    else
-        describe_raw(out, &j->layout);
-    count_samples(out, scan);
+    const struct raw_layout *l = &j->layout;
+    r->scan = &j->raw_scan[0];
+    r->source = raw_find(l, RAW_SOURCE);
+    r->source_scan = r->source >= 0 ? &j->raw_scan[r->source] : NULL;
+    r->matte = raw_find(l, RAW_MATTE);
+    r->matte_scan = r->matte >= 0 ? &j->raw_scan[r->matte] : NULL;
+    r->depth = raw_find(l, RAW_DEPTH);
+    memcpy(r->luma, luma_of(j), sizeof r->luma);
+    r->pixel_aspect = 1;
+    r->display_width = l->width;
+}
+
+// The index of what was asked for, when the reader has made it a target of that role; else -1.
+static int other_target(const struct job *j, int index, enum exr_role role)
+{
+    if (index < 0 || (unsigned)index >= j->n_targets || exr_target(j->exr, (unsigned)index)->role != role)
+        return -1;
+    return index;
+}
+
+static int request_exr(const struct job *j, const struct exr_target *t, struct bloom_request *r, struct fault *f)
+{
+    r->scan = &t->scan;
+    r->source = other_target(j, t->source, EXR_SOURCE);
+    r->source_scan = r->source >= 0 ? &exr_target(j->exr, (unsigned)r->source)->scan : NULL;
+    r->matte = other_target(j, t->matte, EXR_MATTE);
+    r->matte_scan = r->matte >= 0 ? &exr_target(j->exr, (unsigned)r->matte)->scan : NULL;
+    r->depth = other_target(j, t->depth, EXR_DEPTH);
+    memcpy(r->luma, t->luma, sizeof r->luma);
+    r->pixel_aspect = t->pixel_aspect;
+    r->display_width = t->display_width;
+    // A glow from elsewhere than was said would be worse than none.
+    if ((*j->params.source && r->source < 0) || (*j->params.matte && r->matte < 0))
+        return fault_set(f, FAULT_INTERNAL, *j->params.source && r->source < 0 ? "params.source" : "params.matte",
+                         "%.80s: the reader gave nothing for it", t->name);
+    return 0;
+}
+
+// Target i, which is a scene, as the next of the reply's.
+static int scene_begin(struct job *j, unsigned i, struct bloom_request *r, struct job_target **out, struct fault *f)
+{
+    *r = (struct bloom_request){ .params = &j->params,
+                                 .dirt = j->dirt ? &j->dirt->image : NULL,
+                                 .kernel = j->kernel ? &j->kernel->image : NULL };
+    *out = &j->scene[j->n_scenes++];
+    memset(*out, 0, sizeof **out);
+    if (j->raw) {
+        request_raw(j, r);
+        describe_raw(*out, &j->layout);
+        return 0;
+    }
+    const struct exr_target *t = exr_target(j->exr, i);
+    describe(*out, t);
+    return request_exr(j, t, r, f);
+}
+
+static bool is_scene(const struct job *j, unsigned i)
+{
+    return j->raw ? j->layout.target[i].role == RAW_SCENE : exr_target(j->exr, i)->role == EXR_SCENE;
+}
+
+static int bloom_scene(struct job *j, unsigned i, struct bloom *b, struct bloom_slot *s, struct fault *f)
+{
+    struct bloom_request request;
+    struct job_target *out;
+    if (scene_begin(j, i, &request, &out, f) < 0)
+        return -1;
+    count_samples(out, request.scan);
     if (j->params.nonfinite == NONFINITE_REJECT && reject_nonfinite(out, f) < 0)
         return -1;
-    struct bloom_request request = { .params = &j->params, .scan = scan, .pixel_aspect = 1, .source = -1, .matte = -1, .depth = -1 };
-    memcpy(request.luma, t ? t->luma : luma_of(j), sizeof request.luma);
-    if (t)
-        request.pixel_aspect = t->pixel_aspect;
     if (bloom_run(b, s, i, &request, &out->bloom, f) < 0)
         return -1;
     j->untouched[i] = out->bloom.untouched;
@@ -235,9 +377,32 @@ static int bloom_target(struct job *j, unsigned i, struct bloom *b, struct bloom
 int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault *f)
 {
     j->ms.bloom = 0;
-    for (unsigned i = 0; i < j->n_targets && !j->cancel; i++)
-        if (bloom_target(j, i, b, s, f) < 0)
+    j->n_scenes = 0;
+    for (unsigned i = 0; i < j->n_targets && !j->cancel; i++) {
+        j->untouched[i] = true;
+        if (is_scene(j, i) && bloom_scene(j, i, b, s, f) < 0)
             return -1;
+    }
+    return 0;
+}
+
+// Nothing is decoded: the request has no scans.
+int job_plan(struct job *j, struct bloom *b, struct fault *f)
+{
+    struct bloom_geometry g[BLOOM_TARGETS_MAX];
+    job_geometry(j, g);
+    j->n_scenes = 0;
+    for (unsigned i = 0; i < j->n_targets && !j->cancel; i++) {
+        struct bloom_request request;
+        struct job_target *out;
+        if (!is_scene(j, i))
+            continue;
+        if (scene_begin(j, i, &request, &out, f) < 0)
+            return -1;
+        request.scan = request.source_scan = request.matte_scan = NULL;
+        if (bloom_plan(b, &g[i], &request, &out->bloom, f) < 0)
+            return -1;
+    }
     return 0;
 }
 
@@ -288,7 +453,7 @@ static int job_encode(struct job *j, unsigned task, struct exr_worker *w, struct
 {
     if (!j->raw)
         return exr_encode(j->exr, task, w, f);
-    const struct planes *from = j->untouched[0] ? &j->raw_in : &j->raw_out;
+    const struct planes *from = j->untouched[0] ? &j->raw_in[0] : &j->raw_out;
     j->raw_saturated += raw_encode(&j->layout, j->input.data, from, j->output.data, task);
     return 0;
 }
@@ -297,7 +462,12 @@ static int job_decode(struct job *j, unsigned task, struct exr_worker *w, struct
 {
     if (!j->raw)
         return exr_decode(j->exr, task, w, f);
-    raw_decode(&j->layout, j->input.data, &j->raw_in, &j->raw_scan, luma_of(j), task);
+    for (unsigned i = 0; i < j->n_targets; i++) {
+        const struct raw_target *t = &j->layout.target[i];
+        const float *luma = t->planes == 3 ? frame_rec709 : alone;
+        struct frame_scan *scan = t->role == RAW_DEPTH ? NULL : &j->raw_scan[i];
+        raw_decode(&j->layout, t, j->input.data, &j->raw_in[i], scan, luma, task);
+    }
     return 0;
 }
 
@@ -352,6 +522,8 @@ static int finish_exr(struct job *j, struct fault *f)
 
 static int finish_output(struct job *j, struct fault *f)
 {
+    if (j->kind != JOB_BLOOMS)
+        return 0;
     if (j->raw)
         j->counts.saturated = j->raw_saturated;
     else if (finish_exr(j, f) < 0)
@@ -380,7 +552,7 @@ static int job_finish(struct job *j, struct fault *f)
 int job_task(struct job *j, unsigned task, struct exr_worker *w, struct fault *f)
 {
     switch ((enum job_stage)j->stage) {
-    case JOB_OPEN: return job_open(j, f);
+    case JOB_OPEN: return job_open(j, w, f);
     case JOB_DECODE: return job_decode(j, task, w, f);
     case JOB_BEGIN: return job_begin(j, f);
     case JOB_ENCODE: return job_encode(j, task, w, f);
@@ -393,8 +565,7 @@ void job_rewind(struct job *j)
 {
     exr_close(j->exr);
     j->exr = NULL;
-    if (j->raw_scan.tile_luma)
-        frame_scan_finish(&j->raw_scan);
-    j->raw_scan.tile_luma = NULL;
-    j->n_targets = 0;
+    for (unsigned i = 0; i < RAW_ROLES; i++)
+        scan_clear(&j->raw_scan[i]);
+    j->n_targets = j->n_scenes = 0;
 }

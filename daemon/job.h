@@ -4,7 +4,9 @@
  *
  *     UPLOAD    socket thread   inline bytes come in
  *     WAITING   sched's queues  the fair ones
- *     OPEN      pool            the bytes are read or mapped, the headers parsed, the targets chosen
+ *     OPEN      pool            the bytes are read or mapped, the headers parsed, the targets chosen; an upload that
+ *                               is to be kept is decoded, and ends here
+ *     PLAN      device thread   of a request that wants only the plan, which ends here
  *     PREPARE   device thread   planes of the right size (skipped when a slot has them already)
  *     DECODE    pool, n tasks
  *     BLOOM     device thread
@@ -17,6 +19,8 @@
  * A job has one owner at a time and moves by sched's queues, under sched's lock. The tasks of a stage are
  * shared out; a stage's functions touch only what is theirs, so that the tasks of one stage may run at
  * once. The only field that is written from elsewhere is `cancel`.
+ *
+ * A target is what has planes: scenes, which are bloomed and reported, and what is only read for their glow.
  */
 #ifndef AIRYD_JOB_H
 #define AIRYD_JOB_H
@@ -24,6 +28,7 @@
 #include <stdatomic.h>
 #include <sys/queue.h>
 
+#include "asset.h"
 #include "block.h"
 #include "bloom.h"
 #include "exr.h"
@@ -36,6 +41,7 @@ enum job_stage {
     JOB_UPLOAD,
     JOB_WAITING,
     JOB_OPEN,
+    JOB_PLAN,
     JOB_PREPARE,
     JOB_DECODE,
     JOB_BLOOM,
@@ -46,7 +52,8 @@ enum job_stage {
     JOB_STAGES
 };
 
-enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER };
+enum job_kind { JOB_BLOOMS, JOB_PLANS, JOB_KEEPS };
+enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE };
 
 enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 128 };
 
@@ -58,9 +65,10 @@ struct job_limits {
 struct job_env { /* what all jobs share; constant */
     struct job_limits limits;
     struct block_pool *blocks;
+    struct asset_cache *assets;
 };
 
-struct job_target { /* what the reply says of one */
+struct job_target { /* what the reply says of a scene */
     char name[256];
     int32_t min_x, min_y;
     uint32_t width, height;
@@ -82,11 +90,14 @@ struct job {
     uint64_t input_held, output_held; /* bytes that count against the host's */
     uint64_t id;
     TAILQ_ENTRY(job) of_client;
+    enum job_kind kind;
     struct params params;
+    struct asset *dirt, *kernel; /* references; NULL: none */
     bool raw;
     struct raw_layout layout;
     char part[256], layer[256], view[256];
     struct exr_options exr_options;
+    char extra_name[PARAMS_LAYERS_MAX][32]; /* of exr_options */
     enum job_output output_kind;
     struct payload input, output;
     uint64_t received, credit_bytes, upload_ns; /* inline: so far; held; last progress */
@@ -110,15 +121,17 @@ struct job {
     /* The work. */
     struct exr *exr;
     char stamp[JOB_STAMP_MAX];
-    struct frame_scan raw_scan; /* raw only; tile_luma NULL: none */
-    struct planes raw_in, raw_out;
+    struct frame_scan raw_scan[RAW_ROLES]; /* raw only, of each target; tile_luma NULL: none */
+    struct planes raw_in[RAW_ROLES], raw_out;
+    unsigned n_targets;
     bool untouched[BLOOM_TARGETS_MAX];
     _Atomic uint64_t raw_saturated;
 
     /* The reply's material. */
     bool finished; /* a result; else `fault` says why not, else it was cancelled */
-    unsigned n_targets;
-    struct job_target target[BLOOM_TARGETS_MAX];
+    unsigned n_scenes;
+    struct job_target scene[BLOOM_TARGETS_MAX];
+    struct bloom_image kept; /* of an upload; its pixels are the cache's: not to be looked at */
     struct exr_counts counts;
     unsigned n_notes;
     char note[JOB_NOTES_MAX][JOB_NOTE_MAX];
@@ -140,7 +153,8 @@ int job_task(struct job *j, unsigned task, struct exr_worker *w, struct fault *f
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX]);
 /* Hands the planes of the job's slot to the decoder and encoder. */
 void job_bind(struct job *j, const struct planes *in, const struct planes *out);
-/* BLOOM, all targets. */
+/* PLAN and BLOOM, all scenes. */
+int job_plan(struct job *j, struct bloom *b, struct fault *f);
 int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault *f);
 /* Back to before OPEN, the input's bytes kept: its planes are lost with their device. */
 void job_rewind(struct job *j);

@@ -19,7 +19,7 @@ enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
 
 struct options {
     const char *socket, *device, *warm;
-    uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s;
+    uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s, asset_bytes;
     int lifetime_fd;
     bool validate, verbose;
 };
@@ -57,10 +57,13 @@ static const char usage[] =
     "                             most a quarter of the memory)\n"
     "      --max-clients N        connections, 1 to 65536 (default 1024)\n"
     "      --max-requests N       requests in flight on a connection, 1 to 4096 (default 64)\n"
+    "      --asset-bytes N        memory for the images that requests name by digest, decoded; K, M, G may\n"
+    "                             follow (default 256M)\n"
     "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
     "      --lifetime-fd N        stop when this inherited pipe's other end is closed\n"
-    "      --warm WORD            draw with all pipelines before the first request, or with the common ones\n"
-    "                             (default all; common with --lifetime-fd, where somebody waits)\n"
+    "      --warm WORD            draw with all pipelines before the first request, with the common ones\n"
+    "                             only, or then with the others when idle (default idle; common with\n"
+    "                             --lifetime-fd, where somebody waits)\n"
     "      --validate             Vulkan validation; any message makes the exit status 4\n"
     "      --verbose              a line for each connection and error\n"
     "      --help, --version\n";
@@ -75,6 +78,7 @@ enum option_id {
     OPT_CLIENTS,
     OPT_REQUESTS,
     OPT_TIMEOUT,
+    OPT_ASSETS,
     OPT_LIFETIME,
     OPT_WARM,
     OPT_VALIDATE,
@@ -93,6 +97,7 @@ static const struct option options_known[] = {
     { "max-clients", required_argument, NULL, OPT_CLIENTS },
     { "max-requests", required_argument, NULL, OPT_REQUESTS },
     { "timeout-s", required_argument, NULL, OPT_TIMEOUT },
+    { "asset-bytes", required_argument, NULL, OPT_ASSETS },
     { "lifetime-fd", required_argument, NULL, OPT_LIFETIME },
     { "warm", required_argument, NULL, OPT_WARM },
     { "validate", no_argument, NULL, OPT_VALIDATE },
@@ -132,6 +137,7 @@ static void take_option(struct options *o, int id, const char *arg)
     case OPT_CLIENTS: o->max_clients = number("max-clients", arg, 1, 65536); break;
     case OPT_REQUESTS: o->max_requests = number("max-requests", arg, 1, 4096); break;
     case OPT_TIMEOUT: o->timeout_s = number("timeout-s", arg, 1, 86400); break;
+    case OPT_ASSETS: o->asset_bytes = number("asset-bytes", arg, 4096, UINT64_C(1) << 40); break;
     case OPT_LIFETIME:
         o->lifetime_fd = (int)number("lifetime-fd", arg, 0, INT_MAX);
         if (fcntl(o->lifetime_fd, F_SETFD, FD_CLOEXEC) < 0) {
@@ -140,8 +146,8 @@ static void take_option(struct options *o, int id, const char *arg)
         }
         break;
     case OPT_WARM:
-        if (strcmp(arg, "all") && strcmp(arg, "common")) {
-            fprintf(stderr, "airyd: --warm: \"%s\"; expected all or common\n", arg);
+        if (strcmp(arg, "all") && strcmp(arg, "common") && strcmp(arg, "idle")) {
+            fprintf(stderr, "airyd: --warm: \"%s\"; expected all, common or idle\n", arg);
             exit(EXIT_USAGE);
         }
         o->warm = arg;
@@ -204,6 +210,7 @@ static unsigned cpus(void)
 
 static void configure(struct server_config *c, const struct options *o)
 {
+    const char *warm = o->warm ? o->warm : o->lifetime_fd < 0 ? "idle" : "common";
     uint64_t memory = memory_bytes(), gib = UINT64_C(1) << 30;
     uint32_t timeout_ms = (uint32_t)o->timeout_s * 1000;
     uint64_t frame = o->max_frame_bytes ? o->max_frame_bytes : least(2 * gib, memory / 4);
@@ -211,7 +218,8 @@ static void configure(struct server_config *c, const struct options *o)
         .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
                    .slots = (unsigned)o->slots,
                    .device = { .device = o->device, .validate = o->validate,
-                               .warm_all = o->warm ? !strcmp(o->warm, "all") : o->lifetime_fd < 0, .log = say },
+                               .warm_all = !strcmp(warm, "all"), .log = say },
+                   .warm_idle = !strcmp(warm, "idle"),
                    .log = say },
         .limits = { .max_frame_bytes = frame,
                     .exr = { .max_width = 16384,
@@ -221,6 +229,7 @@ static void configure(struct server_config *c, const struct options *o)
         // The largest frame must fit, or nobody could ever send it.
         .credit_bytes = most(frame, least(gib, memory / 8)),
         .held_bytes_max = most(frame, memory / 3),
+        .asset_bytes_max = o->asset_bytes,
         .idle_bytes_max = least(gib, memory / 16),
         .max_requests = (uint32_t)o->max_requests,
         .max_clients = (unsigned)o->max_clients,
@@ -283,7 +292,7 @@ static int run(const struct options *o)
 int main(int argc, char **argv)
 {
     struct options o = {
-        .slots = 3, .max_clients = 1024, .max_requests = 64, .timeout_s = 60, .lifetime_fd = -1
+        .slots = 3, .max_clients = 1024, .max_requests = 64, .timeout_s = 60, .asset_bytes = UINT64_C(256) << 20, .lifetime_fd = -1
     };
     read_options(&o, argc, argv);
     return run(&o);

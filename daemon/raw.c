@@ -3,6 +3,7 @@
 #include "raw.h"
 
 #include <assert.h>
+#include <stdio.h>
 #include <string.h>
 
 enum { RAW_BAND_BYTES = 256 * 1024, RAW_CHUNK_PIXELS = 1024 };
@@ -106,15 +107,22 @@ static int channel_find(const struct raw_layout *l, const char *name)
     return -1;
 }
 
-static int planes_choose(struct raw_layout *l, struct fault *f)
+static struct raw_target *target_add(struct raw_layout *l, enum raw_role role, unsigned planes)
+{
+    struct raw_target *t = &l->target[l->targets++];
+    *t = (struct raw_target){ .role = role, .planes = planes, .type = l->type };
+    return t;
+}
+
+static int scene_choose(struct raw_layout *l, struct fault *f)
 {
     int r = channel_find(l, "R"), g = channel_find(l, "G"), b = channel_find(l, "B");
     int y = channel_find(l, "Y");
     if (r >= 0 && g >= 0 && b >= 0) {
-        l->planes = 3;
-        l->plane[0] = (unsigned)r;
-        l->plane[1] = (unsigned)g;
-        l->plane[2] = (unsigned)b;
+        struct raw_target *t = target_add(l, RAW_SCENE, 3);
+        t->plane[0] = (unsigned)r;
+        t->plane[1] = (unsigned)g;
+        t->plane[2] = (unsigned)b;
         return 0;
     }
     if (y < 0 || r >= 0 || g >= 0 || b >= 0)
@@ -122,8 +130,48 @@ static int planes_choose(struct raw_layout *l, struct fault *f)
                          "%u channels, R %s, G %s, B %s, Y %s; expected R, G and B, or Y without them", l->count,
                          r < 0 ? "absent" : "there", g < 0 ? "absent" : "there", b < 0 ? "absent" : "there",
                          y < 0 ? "absent" : "there");
-    l->planes = 1;
-    l->plane[0] = (unsigned)y;
+    target_add(l, RAW_SCENE, 1)->plane[0] = (unsigned)y;
+    return 0;
+}
+
+static int source_choose(struct raw_layout *l, struct fault *f)
+{
+    unsigned planes = l->target[0].planes;
+    const char *letters = planes == 3 ? "RGB" : "Y";
+    if (!l->source || !*l->source)
+        return 0;
+    struct raw_target *t = target_add(l, RAW_SOURCE, planes);
+    for (unsigned i = 0; i < planes; i++) {
+        char name[RAW_NAME_MAX + 2];
+        int n = snprintf(name, sizeof name, "%s.%c", l->source, letters[i]);
+        int found = n < (int)sizeof name ? channel_find(l, name) : -1;
+        if (found < 0)
+            return fault_set(f, FAULT_LAYOUT, "params.source",
+                             "no channel %.80s.%c in the picture; expected the source's channels %s beside the "
+                             "picture's own",
+                             l->source, letters[i], letters);
+        t->plane[i] = (unsigned)found;
+    }
+    return 0;
+}
+
+static int targets_choose(struct raw_layout *l, struct fault *f)
+{
+    l->targets = 0;
+    if (scene_choose(l, f) < 0 || source_choose(l, f) < 0)
+        return -1;
+    if (l->matte && *l->matte) {
+        int found = channel_find(l, l->matte);
+        if (found < 0)
+            return fault_set(f, FAULT_LAYOUT, "params.matte", "no channel %.80s in the picture", l->matte);
+        target_add(l, RAW_MATTE, 1)->plane[0] = (unsigned)found;
+    }
+    int z = l->depth ? channel_find(l, "Z") : -1;
+    if (z >= 0) {
+        struct raw_target *t = target_add(l, RAW_DEPTH, 1);
+        t->plane[0] = (unsigned)z;
+        t->type = PIXEL_TYPE_FLOAT;
+    }
     return 0;
 }
 
@@ -138,7 +186,7 @@ int raw_check(struct raw_layout *l, uint64_t payload_bytes, struct fault *f)
     for (unsigned i = 0; i < l->count; i++)
         if (channel_check(l, &l->channel[i], payload_bytes, f) < 0)
             return -1;
-    if (overlap_check(l, f) < 0 || planes_choose(l, f) < 0)
+    if (overlap_check(l, f) < 0 || targets_choose(l, f) < 0)
         return -1;
     uint64_t row_bytes = (uint64_t)l->width * pixel_bytes(l->type) * l->count;
     l->dense = row_bytes * l->height == payload_bytes;
@@ -177,18 +225,33 @@ static void scatter(uint8_t *out, const uint8_t *in, size_t stride, size_t n, un
 
 static uint64_t row_offset(const struct raw_channel *c, uint32_t y) { return c->offset + c->row_stride * y; }
 
-void raw_decode(const struct raw_layout *l, const uint8_t *payload, const struct planes *in,
-                struct frame_scan *scan, const float luma[3], unsigned task)
+// Halves as the floats of a wider plane.
+static void gather_wide(uint8_t *out, const uint8_t *in, size_t stride, size_t n)
 {
-    assert(in->type == l->type && in->count == l->planes);
+    for (size_t i = 0; i < n; i += RAW_CHUNK_PIXELS) {
+        size_t m = n - i < RAW_CHUNK_PIXELS ? n - i : RAW_CHUNK_PIXELS;
+        uint16_t half[RAW_CHUNK_PIXELS];
+        gather((uint8_t *)half, in + i * stride, stride, m, 2);
+        half_to_float((float *)(void *)(out + 4 * i), half, m);
+    }
+}
+
+void raw_decode(const struct raw_layout *l, const struct raw_target *t, const uint8_t *payload,
+                const struct planes *in, struct frame_scan *scan, const float luma[3], unsigned task)
+{
+    assert(in->type == t->type && in->count == t->planes);
     uint32_t y0 = task * l->band, y1 = l->height - y0 < l->band ? l->height : y0 + l->band;
     for (uint32_t y = y0; y < y1; y++) {
-        for (unsigned p = 0; p < l->planes; p++) {
-            const struct raw_channel *c = &l->channel[l->plane[p]];
-            gather(planes_row(in, p, y), payload + row_offset(c, y), c->pixel_stride, l->width,
-                   pixel_bytes(l->type));
+        for (unsigned p = 0; p < t->planes; p++) {
+            const struct raw_channel *c = &l->channel[t->plane[p]];
+            const uint8_t *from = payload + row_offset(c, y);
+            if (t->type == l->type)
+                gather(planes_row(in, p, y), from, c->pixel_stride, l->width, pixel_bytes(l->type));
+            else
+                gather_wide(planes_row(in, p, y), from, c->pixel_stride, l->width);
         }
-        frame_scan_row(scan, in, y, luma);
+        if (scan)
+            frame_scan_row(scan, in, y, luma);
     }
 }
 
@@ -206,8 +269,9 @@ static uint64_t scatter_half(uint8_t *out, const uint8_t *in, size_t stride, siz
 
 static bool is_plane(const struct raw_layout *l, unsigned channel)
 {
-    for (unsigned p = 0; p < l->planes; p++)
-        if (l->plane[p] == channel)
+    const struct raw_target *scene = &l->target[0];
+    for (unsigned p = 0; p < scene->planes; p++)
+        if (scene->plane[p] == channel)
             return true;
     return false;
 }
@@ -227,12 +291,13 @@ static void copy_channel(const struct raw_layout *l, const struct raw_channel *c
 uint64_t raw_encode(const struct raw_layout *l, const uint8_t *input, const struct planes *from,
                     uint8_t *output, unsigned task)
 {
+    const struct raw_target *scene = &l->target[0];
     unsigned bytes = pixel_bytes(l->type);
     uint64_t held = 0;
     uint32_t y0 = task * l->band, y1 = l->height - y0 < l->band ? l->height : y0 + l->band;
     for (uint32_t y = y0; y < y1; y++) {
-        for (unsigned p = 0; p < l->planes; p++) {
-            const struct raw_channel *c = &l->channel[l->plane[p]];
+        for (unsigned p = 0; p < scene->planes; p++) {
+            const struct raw_channel *c = &l->channel[scene->plane[p]];
             uint8_t *out = output + row_offset(c, y);
             if (from->type == l->type) // else FLOAT, wider than a HALF layout
                 scatter(out, planes_row(from, p, y), c->pixel_stride, l->width, bytes);

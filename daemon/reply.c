@@ -57,7 +57,8 @@ static void device(Airy__Device *out, const struct bloom_device_info *d)
 
 int reply_welcome(struct conn *c, const struct reply_facts *facts)
 {
-    static char *features[] = { "exr", "raw", "inline", "memfd", "file", "buffer", "progress" };
+    static char *features[] = { "exr", "raw", "inline", "memfd", "file", "buffer", "progress",
+                                "asset", "plan" };
     Airy__Welcome w = AIRY__WELCOME__INIT;
     Airy__Limits l = AIRY__LIMITS__INIT;
     Airy__Device d;
@@ -128,7 +129,7 @@ static void nonfinite(Airy__NonFinite *n, const struct job_target *t)
     n->first_channel = (char *)(t->channels == 1 ? "Y" : names[channel < 3 ? channel : 2]);
 }
 
-static void target(struct target_body *b, struct job_target *t)
+static void target(struct target_body *b, struct job_target *t, bool planned)
 {
     Airy__Target *o = &b->target;
     airy__target__init(o);
@@ -152,6 +153,14 @@ static void target(struct target_body *b, struct job_target *t)
     b->energy.bright = t->bloom.energy_bright;
     b->energy.bloomed = t->bloom.energy_bloomed;
     b->energy.lost = t->bloom.energy_lost;
+    b->energy.clamped = t->bloom.energy_clamped;
+    b->energy.suppressed = t->bloom.energy_suppressed;
+    o->skipped = t->bloom.skipped;
+    o->storage = t->bloom.storage;
+    o->exposure = t->bloom.exposure;
+    o->predicted_ms = t->bloom.predicted_ms;
+    if (planned) // nothing was looked at
+        return;
     o->energy = &b->energy;
     nonfinite(&b->nonfinite, t);
     o->nonfinite = &b->nonfinite;
@@ -165,7 +174,7 @@ static void output(Airy__Payload *p, const struct job *j)
         p->kind = AIRY__PAYLOAD__KIND__INLINE;
     else if (j->output_kind == JOB_OUTPUT_MEMFD)
         p->kind = AIRY__PAYLOAD__KIND__MEMFD;
-    else // written where it was wanted: as many bytes as came
+    else if (j->output_kind == JOB_OUTPUT_BUFFER) // written where it was wanted: as many bytes as came
         p->size = j->input_bytes;
 }
 
@@ -180,9 +189,9 @@ int reply_result(struct conn *c, struct job *j, const struct reply_facts *facts)
     output(&out, j);
     times(&ms, &j->ms);
     // The encoder counts for the whole file; it is said with the file's first target.
-    j->target[0].bloom.saturated += j->counts.saturated;
-    for (unsigned i = 0; i < j->n_targets; i++) {
-        target(&body[i], &j->target[i]);
+    j->scene[0].bloom.saturated += j->counts.saturated;
+    for (unsigned i = 0; i < j->n_scenes; i++) {
+        target(&body[i], &j->scene[i], j->kind == JOB_PLANS);
         targets[i] = &body[i].target;
     }
     for (unsigned i = 0; i < j->n_notes; i++) {
@@ -191,19 +200,28 @@ int reply_result(struct conn *c, struct job *j, const struct reply_facts *facts)
     }
     r.output = &out;
     r.targets = targets;
-    r.n_targets = j->n_targets;
+    r.n_targets = j->n_scenes;
     r.ms = &ms;
     r.device = (char *)facts->device.name;
     r.chunks = j->counts.chunks;
     r.chunks_copied = j->counts.chunks_copied;
     r.notes = notes;
     r.n_notes = j->n_notes;
-    r.exposure = j->params.exposure;
+    r.exposure = j->scene[0].bloom.exposure;
     bool memfd = j->output_kind == JOB_OUTPUT_MEMFD;
     int rc = body_send(c, WIRE_RESULT, j->id, &r.base, memfd ? &j->output.fd : NULL, memfd);
     if (rc == 0 && memfd)
         j->output.fd = -1;
     return rc;
+}
+
+int reply_kept(struct conn *c, const struct job *j)
+{
+    Airy__AssetKept k = AIRY__ASSET_KEPT__INIT;
+    k.digest = (char *)j->kept.digest;
+    k.width = j->kept.width;
+    k.height = j->kept.height;
+    return body_send(c, WIRE_ASSET_KEPT, j->id, &k.base, NULL, 0);
 }
 
 int reply_fault(struct conn *c, uint64_t id, const struct fault *f)
@@ -219,6 +237,7 @@ int reply_progress(struct conn *c, uint64_t id, enum job_stage stage)
     Airy__Progress p = AIRY__PROGRESS__INIT;
     switch (stage) {
     case JOB_OPEN:
+    case JOB_PLAN:
     case JOB_PREPARE:
     case JOB_DECODE:
         p.stage = "decode";

@@ -30,6 +30,8 @@ int reply_welcome(struct conn *c, const struct reply_facts *facts);
 int reply_status(struct conn *c, uint64_t id, const struct reply_facts *facts, const struct reply_status *s);
 /* The terminal RESULT; a memfd output's descriptor becomes the conn's on success. */
 int reply_result(struct conn *c, struct job *j, const struct reply_facts *facts);
+/* The terminal ASSET_KEPT. */
+int reply_kept(struct conn *c, const struct job *j);
 int reply_fault(struct conn *c, uint64_t id, const struct fault *f);
 int reply_progress(struct conn *c, uint64_t id, enum job_stage stage);
 int reply_credit(struct conn *c, uint64_t bytes);

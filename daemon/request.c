@@ -22,6 +22,24 @@ static int read_param(struct params *p, const Airy__Param *a, struct fault *f)
     return fault_set(f, FAULT_PARAM_SYNTAX, field, "no value is given; expected a number or a text");
 }
 
+// At the door, so that an image that is kept now stays for as long as the request lives.
+static int find_asset(struct job *j, const char *digest, const char *field, struct asset **out, struct fault *f)
+{
+    *out = asset_find(j->env->assets, digest);
+    return *out ? 0
+                : fault_set(f, FAULT_NO_ASSET, field, "no image with digest %.60s is kept: send it first", digest);
+}
+
+static int find_assets(struct job *j, struct fault *f)
+{
+    const struct params *p = &j->params;
+    if (*p->dirt && find_asset(j, p->dirt, "params.dirt", &j->dirt, f) < 0)
+        return -1;
+    if (p->psf_spec.kind == PSF_IMAGE && find_asset(j, p->psf_spec.digest, "params.psf", &j->kernel, f) < 0)
+        return -1;
+    return 0;
+}
+
 static int read_params(struct job *j, const Airy__Bloom *b, struct fault *f)
 {
     if (b->n_params > REQUEST_PARAMS_MAX)
@@ -30,7 +48,7 @@ static int read_params(struct job *j, const Airy__Bloom *b, struct fault *f)
     for (size_t i = 0; i < b->n_params; i++) // of two the last holds
         if (read_param(&j->params, b->params[i], f) < 0)
             return -1;
-    return params_check(&j->params, f);
+    return params_check(&j->params, f) < 0 ? -1 : find_assets(j, f);
 }
 
 // ---- format ----------------------------------------------------------------------------------------
@@ -111,6 +129,12 @@ static int read_raw(struct job *j, const Airy__RawLayout *r, struct fault *f)
         c->row_stride = a->row_stride;
         c->pixel_stride = a->pixel_stride;
     }
+    if (j->params.layer_count || j->params.grow_size.value > 0)
+        return fault_set(f, FAULT_PARAM_CONFLICT, j->params.layer_count ? "params.layers" : "params.grow",
+                         "a raw picture's result has the layout of the input: no layers, no other size");
+    l->source = j->params.source;
+    l->matte = j->params.matte;
+    l->depth = j->params.sun_spec.given;
     // A descriptor's whole rest is measured when it is opened.
     return j->input.size ? raw_check(l, j->input.size, f) : 0;
 }
@@ -201,6 +225,10 @@ static int read_buffer(struct job *j, const Airy__Output *o, struct fd_list *fds
 static int read_output(struct job *j, const Airy__Output *o, struct fd_list *fds, struct fault *f)
 {
     int kind = o ? (int)o->kind : AIRY__OUTPUT__KIND__INLINE;
+    if (j->kind == JOB_PLANS) { // and a descriptor for it is one too many
+        j->output_kind = JOB_OUTPUT_NONE;
+        return 0;
+    }
     switch (kind) {
     case AIRY__OUTPUT__KIND__INLINE: j->output_kind = JOB_OUTPUT_INLINE; return 0;
     case AIRY__OUTPUT__KIND__MEMFD: j->output_kind = JOB_OUTPUT_MEMFD; return 0;
@@ -219,18 +247,34 @@ static int fds_used(const struct fd_list *l, struct fault *f)
     return 0;
 }
 
+static void close_unused(const struct fd_list *l)
+{
+    for (unsigned i = 0; i < l->n; i++)
+        if (!l->used[i])
+            close(l->fds[i]);
+}
+
 int request_read(struct job *j, const Airy__Bloom *b, const int *fds, unsigned n_fds, struct fault *f)
 {
     struct fd_list list = { .fds = fds, .n = n_fds };
     int rc = -1;
+    j->kind = b->plan_only ? JOB_PLANS : JOB_BLOOMS;
     if (read_params(j, b, f) < 0 || read_input(j, b->input, &list, f) < 0 || read_format(j, b, f) < 0 ||
         read_output(j, b->output, &list, f) < 0 || fds_used(&list, f) < 0)
         goto done;
     j->wants_progress = b->progress;
     rc = 0;
 done:
-    for (unsigned i = 0; i < n_fds; i++)
-        if (!list.used[i])
-            close(fds[i]);
+    close_unused(&list);
+    return rc;
+}
+
+int request_read_asset(struct job *j, const Airy__Asset *a, const int *fds, unsigned n_fds, struct fault *f)
+{
+    struct fd_list list = { .fds = fds, .n = n_fds };
+    j->kind = JOB_KEEPS;
+    j->output_kind = JOB_OUTPUT_NONE;
+    int rc = read_input(j, a->input, &list, f) < 0 ? -1 : fds_used(&list, f);
+    close_unused(&list);
     return rc;
 }

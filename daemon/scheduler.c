@@ -112,10 +112,13 @@ static enum job_stage next_stage(struct sched *s, struct job *j)
 {
     switch ((enum job_stage)j->stage) {
     case JOB_OPEN:
+        if (j->kind != JOB_BLOOMS)
+            return j->kind == JOB_PLANS ? JOB_PLAN : JOB_FINISH;
         if (!slot_take(s, j))
             return JOB_PREPARE;
         job_bind(j, j->slot->in, j->slot->out);
         return JOB_DECODE;
+    case JOB_PLAN: return JOB_FINISH;
     case JOB_PREPARE:
         job_bind(j, j->slot->in, j->slot->out);
         return JOB_DECODE;
@@ -261,8 +264,11 @@ void sched_complete(struct sched *s, struct job *j, unsigned task, int rc, const
 
 struct job *sched_device_next(struct sched *s)
 {
-    enum job_stage stage = TAILQ_EMPTY(&s->stage[JOB_PREPARE]) ? JOB_BLOOM : JOB_PREPARE;
-    struct job *j = TAILQ_FIRST(&s->stage[stage]);
+    static const enum job_stage in_order[] = { JOB_PLAN, JOB_PREPARE, JOB_BLOOM };
+    enum job_stage stage = JOB_BLOOM;
+    struct job *j = NULL;
+    for (size_t i = 0; i < sizeof in_order / sizeof in_order[0] && !j; i++)
+        j = TAILQ_FIRST(&s->stage[stage = in_order[i]]);
     if (!j)
         return NULL;
     unlink_job(&s->stage[stage], j);
@@ -423,6 +429,7 @@ int sched_create(struct sched **out, const struct sched_config *config, struct f
         TAILQ_INIT(&s->stage[i]);
     s->slots = config->slots;
     s->device = config->device;
+    s->warm_idle = config->warm_idle;
     s->device.slots = config->slots;
     s->log = config->log;
     s->event_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);

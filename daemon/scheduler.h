@@ -27,6 +27,7 @@ enum { SCHED_THREADS_MAX = 256, SCHED_SLOTS_MAX = 8 };
 struct sched_config {
     unsigned threads, slots;
     struct bloom_options device; /* `slots` of it is filled in here */
+    bool warm_idle; /* pipelines that have not drawn at the start draw whenever the device has nothing to do */
     void (*log)(const char *line);
 };
 

@@ -45,6 +45,7 @@ struct sched {
 
     struct bloom *bloom; /* the device thread's, once it runs */
     struct bloom_options device;
+    bool warm_idle, warming; /* warming: pipelines are left that have not drawn */
     struct bloom_device_info device_info;
     unsigned validation_messages;
     void (*log)(const char *line);
@@ -58,7 +59,7 @@ struct sched {
 /* All under the lock. */
 struct job *sched_claim(struct sched *s, unsigned *task); /* NULL: nothing to do now */
 void sched_complete(struct sched *s, struct job *j, unsigned task, int rc, const struct fault *f);
-struct job *sched_device_next(struct sched *s); /* in PREPARE or BLOOM; off its queue, running */
+struct job *sched_device_next(struct sched *s); /* in PLAN, PREPARE or BLOOM; off its queue, running */
 void sched_rewind_all(struct sched *s, const struct fault *f);
 
 /* scheduler_threads.c */

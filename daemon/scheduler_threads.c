@@ -47,8 +47,10 @@ static int open_device(struct sched *s, struct fault *f)
 {
     if (bloom_create(&s->bloom, &s->device, f) < 0) {
         s->bloom = NULL;
+        s->warming = false;
         return -1;
     }
+    s->warming = s->warm_idle;
     for (unsigned i = 0; i < s->slots; i++)
         s->slot[i].engine = bloom_slot(s->bloom, i);
     return 0;
@@ -59,6 +61,8 @@ static int device_task(struct sched *s, struct job *j, struct fault *f)
     struct sched_slot *slot = j->slot;
     if (!s->bloom)
         return fault_set(f, FAULT_DEVICE_LOST, "", "the Vulkan device was lost and could not be opened again");
+    if (j->stage == JOB_PLAN)
+        return job_plan(j, s->bloom, f);
     if (j->stage == JOB_BLOOM)
         return job_bloom(j, s->bloom, slot->engine, f);
     return bloom_slot_prepare(s->bloom, slot->engine, slot->count, slot->geometry, slot->in, slot->out, f);
@@ -91,12 +95,35 @@ static void device_replace(struct sched *s, const struct fault *f)
     pthread_cond_broadcast(&s->pool_wake);
 }
 
+// Under the lock; nobody waits for the device. A step is short, so that who comes meanwhile hardly waits.
+static void warm_step(struct sched *s)
+{
+    struct fault f;
+    pthread_mutex_unlock(&s->lock);
+    bool more = bloom_warm_next(s->bloom, &f);
+    pthread_mutex_lock(&s->lock);
+    s->warming = more;
+    if (f.code == FAULT_DEVICE_LOST) {
+        device_replace(s, &f);
+    } else if (f.code != FAULT_NONE) {
+        char line[400];
+        snprintf(line, sizeof line, "drawing with all pipelines: %s; those left draw when they are asked for", f.text);
+        say(s, line);
+    } else if (!more) {
+        say(s, "all pipelines have drawn");
+    }
+}
+
 static void *device_main(void *arg)
 {
     struct sched *s = arg;
     pthread_mutex_lock(&s->lock);
     while (!s->stopping) {
         struct job *j = sched_device_next(s);
+        if (!j && s->warming) {
+            warm_step(s);
+            continue;
+        }
         if (!j) {
             pthread_cond_wait(&s->device_wake, &s->lock);
             continue;
@@ -105,7 +132,8 @@ static void *device_main(void *arg)
         struct fault f = { .code = FAULT_NONE };
         int rc = device_task(s, j, &f);
         pthread_mutex_lock(&s->lock);
-        if (rc < 0 && f.code == FAULT_DEVICE_LOST && s->bloom) {
+        // A plan touches no device; one that says so all the same has no slot to start again from.
+        if (rc < 0 && f.code == FAULT_DEVICE_LOST && s->bloom && j->slot) {
             j->running--;
             device_replace(s, &f);
             continue;

@@ -335,6 +335,7 @@ static void host_init(struct server *s, const struct server_config *config)
     h->log = config->verbose ? config->log : NULL;
     h->job.limits = config->limits;
     h->job.blocks = &h->blocks;
+    h->job.assets = &h->assets;
     struct exr_limits *e = &h->job.limits.exr;
     e->max_width = e->max_width < d->max_dimension ? e->max_width : d->max_dimension;
     e->max_height = e->max_height < d->max_dimension ? e->max_height : d->max_dimension;
@@ -359,6 +360,7 @@ int server_create(struct server **out, const struct server_config *config, struc
     TAILQ_INIT(&s->clients);
     TAILQ_INIT(&s->dead);
     block_pool_init(&s->host.blocks, config->idle_bytes_max);
+    asset_cache_init(&s->host.assets, config->asset_bytes_max);
     if (open_signals(s, f) < 0 || sched_create(&s->host.sched, &config->sched, f) < 0)
         goto fail;
     host_init(s, config);
@@ -383,6 +385,7 @@ void server_destroy(struct server *s)
     }
     reap(s);
     sched_destroy(s->host.sched);
+    asset_cache_finish(&s->host.assets);
     block_pool_finish(&s->host.blocks);
     listener_finish(s->listener);
     if (s->lifetime.fd >= 0)

@@ -16,7 +16,7 @@ struct server;
 struct server_config {
     struct sched_config sched;
     struct job_limits limits; /* widths and heights are lowered to what the device can do */
-    uint64_t credit_bytes, held_bytes_max, idle_bytes_max;
+    uint64_t credit_bytes, held_bytes_max, idle_bytes_max, asset_bytes_max;
     uint32_t max_requests;
     unsigned max_clients, max_jobs;
     struct client_timeouts timeouts;

@@ -20,19 +20,19 @@ int fault_set(struct fault *f, enum fault_code code, const char *field, const ch
 
 struct fault_row {
     enum fault_code code;
-    const char *symbol, *meaning;
+    const char *symbol;
     bool retryable, closes;
 };
 
 static const struct fault_row rows[] = {
-#define X(code, symbol, retryable, closes, text) { code, #symbol, text, retryable, closes },
+#define X(code, symbol, retryable, closes, text) { code, #symbol, retryable, closes },
     AIRY_FAULTS(X)
 #undef X
 };
 
 static const struct fault_row *row_of(enum fault_code code)
 {
-    static const struct fault_row unknown = { FAULT_NONE, "UNKNOWN", "unknown fault", false, false };
+    static const struct fault_row unknown = { FAULT_NONE, "UNKNOWN", false, false };
     for (unsigned i = 0; i < sizeof(rows) / sizeof(rows[0]); i++)
         if (rows[i].code == code)
             return &rows[i];
@@ -40,6 +40,5 @@ static const struct fault_row *row_of(enum fault_code code)
 }
 
 const char *fault_symbol(enum fault_code code) { return row_of(code)->symbol; }
-const char *fault_meaning(enum fault_code code) { return row_of(code)->meaning; }
 bool fault_retryable(enum fault_code code) { return row_of(code)->retryable; }
 bool fault_closes(enum fault_code code) { return row_of(code)->closes; }

@@ -31,6 +31,7 @@
     X(220, NO_PART, 0, 0, "the file has no such part")                                            \
     X(221, NO_LAYER, 0, 0, "the file has no such layer")                                          \
     X(222, NO_VIEW, 0, 0, "the file has no such view")                                            \
+    X(223, NO_ASSET, 0, 0, "no image of this digest: send it first")                              \
     X(300, NOT_EXR, 0, 0, "the payload is not an OpenEXR file")                                   \
     X(301, EXR_DAMAGED, 0, 0, "the OpenEXR file is damaged or truncated")                         \
     X(302, EXR_TOO_LARGE, 0, 0, "the OpenEXR file is larger than the limits")                     \
@@ -63,7 +64,6 @@ int fault_set(struct fault *f, enum fault_code code, const char *field, const ch
     __attribute__((format(printf, 4, 5)));
 
 const char *fault_symbol(enum fault_code code);  /* "PARAM_RANGE"; "UNKNOWN" for no code of ours */
-const char *fault_meaning(enum fault_code code); /* the table's sentence */
 bool fault_retryable(enum fault_code code);
 bool fault_closes(enum fault_code code); /* the daemon closes after sending it */
 

@@ -39,7 +39,9 @@ enum {
     X(9, STATUS, 'C', 0)                                                                          \
     X(10, STATUS_REPLY, 'D', 0)                                                                   \
     X(11, CREDIT, 'D', 0)                                                                         \
-    X(12, PROGRESS, 'D', 0)
+    X(12, PROGRESS, 'D', 0)                                                                       \
+    X(13, ASSET, 'C', 1)                                                                          \
+    X(14, ASSET_KEPT, 'D', 0)
 
 enum wire_type {
 #define X(number, name, who, fds) WIRE_##name = number,

@@ -165,6 +165,15 @@ int daemon_run(const char *const *options, char *text, size_t size)
     return WIFEXITED(status) ? WEXITSTATUS(status) : 1000 + WTERMSIG(status);
 }
 
+struct airy *daemon_join(const struct daemon *d)
+{
+    struct airy *a;
+    struct airy_error e;
+    if (airy_connect(&a, d->path, &e) < 0)
+        fail_msg("connect: %s", e.text);
+    return a;
+}
+
 // ---- peer ------------------------------------------------------------------------------------------
 
 int peer_socket(const struct daemon *d)
@@ -284,6 +293,15 @@ void peer_bloom(struct peer *p, uint64_t id, const Airy__Bloom *b, const int *fd
     for (unsigned i = 0; i < n_fds; i++)
         own[i] = dup(fds[i]);
     assert_int_equal(body_send(p->conn, WIRE_BLOOM, id, &b->base, own, n_fds), 0);
+    peer_flush(p);
+}
+
+void peer_asset(struct peer *p, uint64_t id, const Airy__Payload *input, int fd)
+{
+    Airy__Asset a = AIRY__ASSET__INIT;
+    int own = fd < 0 ? -1 : dup(fd);
+    a.input = (Airy__Payload *)input;
+    assert_int_equal(body_send(p->conn, WIRE_ASSET, id, &a.base, &own, fd >= 0), 0);
     peer_flush(p);
 }
 

@@ -39,6 +39,8 @@ void daemon_exec(const char *const *first, const char *const *more) __attribute_
 /* True when the tests are built with a sanitizer: bounds on time and memory mean nothing then. */
 bool daemon_sanitized(void);
 
+/* A connection of libairy to it. */
+struct airy *daemon_join(const struct daemon *d);
 /* A connected stream socket. */
 int peer_socket(const struct daemon *d);
 
@@ -59,6 +61,7 @@ void peer_expect(struct peer *p, struct conn_message *m, enum wire_type type, ui
 const Airy__Error *peer_expect_error(struct peer *p, uint64_t id, unsigned code, const char *field);
 void peer_expect_closed(struct peer *p);
 /* Queues messages. */
+void peer_asset(struct peer *p, uint64_t id, const Airy__Payload *input, int fd); /* fd -1: none */
 void peer_bloom(struct peer *p, uint64_t id, const Airy__Bloom *b, const int *fds, unsigned n_fds);
 void peer_data(struct peer *p, uint64_t id, const void *data, size_t bytes);
 void peer_cancel(struct peer *p, uint64_t id);

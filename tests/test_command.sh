@@ -98,7 +98,7 @@ t() { exits 0 "$AIRY" --version && prints '^airy [0-9]+\.[0-9]+\.[0-9]+$'; }
 check "--version" t
 t() {
     exits 0 "$AIRY" bloom --help && cp "$work/out" "$work/help" && exits 0 "$AIRY" help bloom && same "$work/help" "$work/out" &&
-        prints '--threshold N' && prints 'scene-linear; 0.0 to 1e30; default 1.0' && prints 'default[[:space:]]*$|knee\]'
+        prints '--threshold N' && prints 'threshold_unit; -32.0 to 1e30; default 1.0' && prints 'default[[:space:]]*$|knee\]'
 }
 check "help from the table" t
 t() { exits 2 "$AIRY" bloom --thresold 2 a b && says 'did you mean --threshold?'; }
@@ -190,6 +190,29 @@ t() {
         says 'in.0007.exr: No such file' && is_exr "$work/o/1.exr" && [ "$(wc -l <"$work/err")" -eq 1 ]
 }
 check "a missing frame; quiet" t
+
+# ---- plans, and images by their files --------------------------------------------------------------------
+plan() { "$AIRY" plan --socket "$work/d.sock" "$@"; }
+t() {
+    exits 0 plan "$work/in.exr" && prints '^    plan     .+' && prints '^    error    <= ' && prints '^  skipped +depends on the pixels' &&
+        exits 0 plan "$work/in.exr" --json && lines 1 &&
+        prints '^\{"input":".*in\.exr","targets":\[\{"name":".+,"width":192,"height":108,.*"plan":".+","rule":".+","levels":[0-9]+,"storage":' &&
+        exits 2 plan "$work/in.exr" --tolerance 7 && says 'params.tolerance' && exits 3 plan "$work/none.exr" && exits 2 plan &&
+        exits 2 plan "$work/in.exr" x.exr && exits 2 plan "$work/in.exr" -o x.exr && says 'nothing is written' &&
+        exits 3 plan "$work/seq/in.0004.exr" --part 9 && exits 0 "$AIRY" help plan && [ ! -e x.exr ]
+}
+check "airy plan" t
+t() {
+    rm -rf "$work/o" && mkdir "$work/o" &&
+        exits 0 bloom "$work/seq/in.####.exr" -o "$work/o/####.exr" -f 1-3 --dirt "$work/in.exr" && is_exr "$work"/o/000{1,2,3}.exr &&
+        exits 0 plan "$work/in.exr" --dirt "$work/in.exr" &&
+        exits 3 bloom "$work/in.exr" "$work/o/no.exr" --dirt "$work/seq/in.0004.exr" && says 'in.0004.exr' && [ ! -e "$work/o/no.exr" ] &&
+        exits 3 bloom "$work/in.exr" "$work/o/no.exr" --dirt 0123456789abcdef0123456789abcdef && says '[NO_ASSET 223]' &&
+        exits 0 "$AIRY" bloom "$work/in.exr" "$work/o/private.exr" --dirt "$work/in.exr" && is_exr "$work/o/private.exr" && nothing_left "$work/o"
+}
+check "--dirt FILE is sent once, and missed when it is not kept" t
+t() { exits 0 plan "$work/in.exr" --threshold-unit linear && exits 0 plan "$work/in.exr" --threshold_unit=linear && exits 0 plan "$work/in.exr" --budget-ms 0; }
+check "dashes for underscores" t
 
 # ---- outputs that cannot be ----------------------------------------------------------------------------
 old() { rm -rf "$work/o" && mkdir "$work/o" && echo old >"$work/o/out.exr" && cp "$work/o/out.exr" "$work/old"; }

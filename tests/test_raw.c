@@ -77,11 +77,11 @@ static void round_trip(struct raw_layout *l, uint64_t bytes)
     for (uint64_t i = 0; i < bytes; i++)
         in[i] = (uint8_t)random_below(256);
     memset(out, 0x5a, sizeof out);
-    assert_int_equal(planes_alloc(&planes, l->width, l->height, l->planes, l->type), 0);
+    assert_int_equal(planes_alloc(&planes, l->width, l->height, l->target[0].planes, l->type), 0);
     assert_int_equal(frame_scan_init(&scan, l->width, l->height), 0);
     l->band = 1 + random_below(l->height); // bands of any size
     for (unsigned t = raw_tasks(l); t-- > 0;)
-        raw_decode(l, in, &planes, &scan, luma, t);
+        raw_decode(l, &l->target[0], in, &planes, &scan, luma, t);
     for (unsigned t = raw_tasks(l); t-- > 0;)
         assert_int_equal(raw_encode(l, in, &planes, out, t), 0);
     uint64_t samples = 0;
@@ -171,12 +171,83 @@ static void test_saturation(void **state)
     planes_free(&p);
 }
 
+// One interleaved picture with everything that a glow may need: who is which, and what is in their planes.
+static void test_sources(void **state)
+{
+    (void)state;
+    static const char *const all[] = { "R", "G", "B", "A", "lamps.B", "lamps.G", "lamps.R", "cut", "Z" };
+    enum { WIDTH = 5, HEIGHT = 3, COUNT = 9 };
+    struct raw_layout l = { .width = WIDTH, .height = HEIGHT, .type = PIXEL_TYPE_HALF, .count = COUNT };
+    uint16_t in[HEIGHT][WIDTH][COUNT];
+    struct fault f;
+    for (unsigned c = 0; c < COUNT; c++) {
+        strcpy(l.channel[c].name, all[c]);
+        l.channel[c].offset = 2 * c;
+        l.channel[c].pixel_stride = 2 * COUNT;
+        l.channel[c].row_stride = 2 * COUNT * WIDTH;
+    }
+    for (unsigned i = 0; i < HEIGHT * WIDTH * COUNT; i++)
+        ((uint16_t *)in)[i] = (uint16_t)(0x3c00 + i);
+    assert_int_equal(raw_check(&l, sizeof in, &f), 0);
+    assert_int_equal(l.targets, 1);
+    assert_int_equal(raw_find(&l, RAW_SOURCE), -1);
+    l.source = "lamps";
+    l.matte = "cut";
+    l.depth = true;
+    assert_int_equal(raw_check(&l, sizeof in, &f), 0);
+    assert_int_equal(l.targets, 4);
+    static const unsigned channels[RAW_ROLES][3] = { { 0, 1, 2 }, { 6, 5, 4 }, { 7 }, { 8 } };
+    for (unsigned role = RAW_SCENE; role < RAW_ROLES; role++) {
+        const struct raw_target *t = &l.target[raw_find(&l, (enum raw_role)role)];
+        struct planes p;
+        assert_int_equal(t->planes, role < RAW_MATTE ? 3 : 1);
+        assert_int_equal(t->type, role == RAW_DEPTH ? PIXEL_TYPE_FLOAT : PIXEL_TYPE_HALF);
+        assert_int_equal(planes_alloc(&p, WIDTH, HEIGHT, t->planes, t->type), 0);
+        raw_decode(&l, t, (const uint8_t *)in, &p, NULL, NULL, 0);
+        for (unsigned c = 0; c < t->planes; c++)
+            for (unsigned y = 0; y < HEIGHT; y++)
+                for (unsigned x = 0; x < WIDTH; x++) {
+                    uint16_t half = in[y][x][channels[role][c]];
+                    float wide;
+                    half_to_float(&wide, &half, 1);
+                    const uint8_t *row = planes_row(&p, c, y);
+                    if (role == RAW_DEPTH)
+                        assert_memory_equal(row + 4 * x, &wide, 4);
+                    else
+                        assert_memory_equal(row + 2 * x, &half, 2);
+                }
+        planes_free(&p);
+    }
+    // What is only read comes back as it was.
+    uint16_t out[HEIGHT][WIDTH][COUNT];
+    struct planes black;
+    assert_int_equal(planes_alloc(&black, WIDTH, HEIGHT, 3, PIXEL_TYPE_HALF), 0);
+    raw_encode(&l, (const uint8_t *)in, &black, (uint8_t *)out, 0);
+    for (unsigned i = 0; i < HEIGHT * WIDTH * COUNT; i++)
+        assert_int_equal(((uint16_t *)out)[i], i % COUNT < 3 ? 0 : ((uint16_t *)in)[i]);
+    planes_free(&black);
+    // Absent ones are named; a Z that is not there is no fault.
+    l.source = "lamp";
+    assert_int_equal(raw_check(&l, sizeof in, &f), -1);
+    assert_int_equal(f.code, FAULT_LAYOUT);
+    assert_string_equal(f.field, "params.source");
+    l.source = "";
+    l.matte = "cut.R";
+    assert_int_equal(raw_check(&l, sizeof in, &f), -1);
+    assert_string_equal(f.field, "params.matte");
+    l.matte = NULL;
+    strcpy(l.channel[8].name, "depth");
+    assert_int_equal(raw_check(&l, sizeof in, &f), 0);
+    assert_int_equal(l.targets, 1);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_random_layouts),
         cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_saturation),
+        cmocka_unit_test(test_sources),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -52,6 +52,11 @@ struct world {
     struct sched_flow flow[3];
 };
 
+static bool warm_idle;
+static _Atomic int all_drawn; // how often it was logged
+
+static void count_line(const char *line) { all_drawn += strstr(line, "all pipelines have drawn") != NULL; }
+
 static void open_world(struct world *w, unsigned slots, int lost_from, int lost_to, int create_max)
 {
     runs = creates = 0;
@@ -61,7 +66,7 @@ static void open_world(struct world *w, unsigned slots, int lost_from, int lost_
     *w = (struct world){ 0 };
     block_pool_init(&w->blocks, 64 << 20);
     w->env = (struct job_env){ .limits = { .max_frame_bytes = 1 << 30 }, .blocks = &w->blocks };
-    struct sched_config config = { .threads = 2, .slots = slots };
+    struct sched_config config = { .threads = 2, .slots = slots, .warm_idle = warm_idle, .log = count_line };
     struct fault f;
     if (sched_create(&w->sched, &config, &f) < 0)
         fail_msg("%s", f.text);
@@ -190,6 +195,33 @@ static void test_device_dead(void **state)
     close_world(&w);
 }
 
+// Jobs that come while other pipelines are drawn with get the same pixels; a device that is lost over it is
+// opened again, and all are drawn with in the end.
+static void test_warm_when_idle(void **state)
+{
+    (void)state;
+    struct world w;
+    uint64_t cold[JOBS], warm[JOBS];
+    struct fault faults[JOBS];
+    open_world(&w, 2, 0, 0, 1);
+    run_jobs(&w, cold, faults);
+    close_world(&w);
+    warm_idle = true;
+    all_drawn = 0;
+    open_world(&w, 2, 3, 4, 2);
+    warm_idle = false;
+    run_jobs(&w, warm, faults);
+    assert_memory_equal(cold, warm, sizeof cold);
+    for (int i = 0; i < 1200 && !all_drawn; i++)
+        poll(NULL, 0, 100);
+    assert_int_equal(all_drawn, 1);
+    assert_int_equal(creates, 2);
+    assert_true(runs > 60); // the steps went through the engine, beside the six jobs
+    run_jobs(&w, warm, faults);
+    assert_memory_equal(cold, warm, sizeof cold);
+    close_world(&w);
+}
+
 // With one slot jobs end in the order of their turns: users take turns, then their connections do.
 static void test_turns(void **state)
 {
@@ -272,6 +304,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_turns),
+        cmocka_unit_test(test_warm_when_idle),
         cmocka_unit_test(test_cancel_anywhere),
         cmocka_unit_test(test_device_lost_once),
         cmocka_unit_test(test_device_lost_again),

@@ -387,7 +387,7 @@ static void test_params(void **state)
         { "psf", many, "params.psf", 0 },
         { "psf", long_text, "params.psf", 0 },
         { "threshold", "nan", "params.threshold", 0 },
-        { "threshold", "-1", "params.threshold", FAULT_PARAM_RANGE },
+        { "threshold", "-33", "params.threshold", FAULT_PARAM_RANGE },
         { "threshold", "", "params.threshold", 0 },
         { "tolerance", "1e9", "params.tolerance", FAULT_PARAM_RANGE },
         { "bright", "brightest", "params.bright", 0 },

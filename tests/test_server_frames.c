@@ -30,15 +30,6 @@ static int stop(void **state)
     return 0;
 }
 
-static struct airy *join(const struct daemon *d)
-{
-    struct airy *a;
-    struct airy_error e;
-    if (airy_connect(&a, d->path, &e) < 0)
-        fail_msg("connect: %s", e.text);
-    return a;
-}
-
 static struct airy_result *bloom(struct airy *a, struct airy_request *r)
 {
     struct airy_error e;
@@ -100,7 +91,7 @@ static void test_all_ways(void **state)
     (void)state;
     struct picture p = picture_make(301, 203, 300, 11);
     size_t bytes = picture_bytes(&p), file_bytes;
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
 
     struct airy_request r = raw_request(&p);
     r.input_fd = make_memfd(p.pixels, bytes, F_SEAL_SHRINK | F_SEAL_WRITE);
@@ -180,7 +171,7 @@ static void test_planar_float(void **state)
     struct picture p = picture_make(190, 77, 300, 12);
     size_t n = (size_t)p.width * p.height;
     float *in;
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
     struct airy_request r = AIRY_REQUEST_INIT;
     r.input_fd = airy_memfd(n * 12, (void **)&in, NULL);
     r.width = p.width;
@@ -229,7 +220,7 @@ static void test_untouched(void **state)
         in[i] = (uint8_t)(i * 37);
     for (size_t y = 0; y < 48; y++)
         memcpy(in + 16 + y * pitch, p.pixels + y * 64 * 4, 64 * 8);
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
     for (int inline_output = 0; inline_output < 2; inline_output++) {
         struct airy_request r = raw_request(&p);
         for (unsigned c = 0; c < 4; c++) {
@@ -264,7 +255,7 @@ enum { PIPELINED = 16 };
 static void test_pipelined(void **state)
 {
     (void)state;
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
     struct picture p[PIPELINED];
     uint64_t id[PIPELINED];
     struct airy_error e;
@@ -350,7 +341,7 @@ static void test_determinism(void **state)
     uint8_t *exr = picture_exr(&p, &bytes);
     struct daemon one;
     daemon_start(&one, (const char *const[]){ "--threads", "1", "--slots", "1", NULL });
-    struct airy *a = join(&one);
+    struct airy *a = daemon_join(&one);
     struct airy_result *alone = zipped(a, exr, bytes);
     assert_memory_equal(alone->data, exr, 4);
     assert_int_equal(alone->chunks, (360 + 15) / 16);
@@ -378,7 +369,7 @@ static void test_fair(void **state)
 {
     (void)state;
     struct picture big = picture_make(1920, 1080, 300, 41), small = picture_make(64, 64, 300, 42);
-    struct airy *a = join(&the_daemon), *b = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon), *b = daemon_join(&the_daemon);
     struct airy_error e;
     struct airy_status s;
     struct airy_request r = raw_request(&big);
@@ -415,7 +406,7 @@ static void test_steady(void **state)
     struct picture p = picture_make(512, 512, 300, 51);
     size_t bytes;
     uint8_t *exr = picture_exr(&p, &bytes);
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
     struct airy_error e;
     struct airy_status before, after;
     for (int i = 0; i < 120; i++) {
@@ -445,7 +436,7 @@ static void test_progress(void **state)
 {
     (void)state;
     struct picture p = picture_make(800, 600, 300, 61);
-    struct airy *a = join(&the_daemon);
+    struct airy *a = daemon_join(&the_daemon);
     struct airy_request r = raw_request(&p);
     double last = -1;
     r.data = p.pixels;

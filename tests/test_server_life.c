@@ -55,15 +55,6 @@ static void expect_done(struct airy *a, uint64_t id)
     airy_result_free(r);
 }
 
-static struct airy *join(const struct daemon *d)
-{
-    struct airy *a;
-    struct airy_error e;
-    if (airy_connect(&a, d->path, &e) < 0)
-        fail_msg("connect: %s", e.text);
-    return a;
-}
-
 static struct airy_status status_of(struct airy *a)
 {
     struct airy_status s;
@@ -81,7 +72,7 @@ static void test_cancel(void **state)
     enum { JOBS = 24 };
     struct daemon d;
     daemon_start(&d, (const char *const[]){ "--slots", "1", NULL });
-    struct airy *a = join(&d);
+    struct airy *a = daemon_join(&d);
     struct picture p = picture_make(1024, 1024, 500, 3);
     uint64_t id[JOBS];
     struct airy_error e;
@@ -182,7 +173,7 @@ static void test_kill_in_upload(void **state)
     (void)state;
     struct daemon d;
     daemon_start(&d, NULL);
-    struct airy *a = join(&d);
+    struct airy *a = daemon_join(&d);
     struct picture p = picture_make(256, 256, 500, 4);
     for (int i = 0; i < 8; i++) {
         int ready;
@@ -212,7 +203,7 @@ static void test_gone_with_queue(void **state)
     struct daemon d;
     daemon_start(&d, (const char *const[]){ "--slots", "1", NULL });
     struct picture p = picture_make(1024, 1024, 500, 5);
-    struct airy *a = join(&d), *b = join(&d);
+    struct airy *a = daemon_join(&d), *b = daemon_join(&d);
     for (int i = 0; i < 20; i++)
         submit_raw(a, &p, true);
     airy_close(a); // with all of them open
@@ -267,7 +258,7 @@ static void test_too_many_clients(void **state)
     daemon_start(&d, (const char *const[]){ "--max-clients", "4", NULL });
     struct airy *a[4];
     for (int i = 0; i < 4; i++)
-        a[i] = join(&d);
+        a[i] = daemon_join(&d);
     struct peer late; // waits in the kernel's queue until one leaves
     peer_open(&late, &d);
     Airy__Hello h = AIRY__HELLO__INIT;
@@ -291,7 +282,7 @@ static void test_status_under_load(void **state)
     (void)state;
     struct daemon d;
     daemon_start(&d, NULL);
-    struct airy *a = join(&d), *b = join(&d);
+    struct airy *a = daemon_join(&d), *b = daemon_join(&d);
     struct picture p = picture_make(1920, 1080, 500, 6);
     uint64_t id[12];
     for (int i = 0; i < 12; i++)
@@ -324,7 +315,7 @@ static void test_sigterm_drains(void **state)
     (void)state;
     struct daemon d;
     daemon_start(&d, NULL);
-    struct airy *a = join(&d);
+    struct airy *a = daemon_join(&d);
     struct peer half;
     struct picture p = picture_make(1024, 1024, 500, 7);
     uint64_t id[10];
@@ -360,7 +351,7 @@ static void test_second_signal(void **state)
     (void)state;
     struct daemon d;
     daemon_start(&d, NULL);
-    struct airy *a = join(&d);
+    struct airy *a = daemon_join(&d);
     struct picture p = picture_make(1920, 1080, 500, 8);
     for (int i = 0; i < 30; i++)
         submit_raw(a, &p, true);
@@ -379,7 +370,7 @@ static void test_lifetime(void **state)
     (void)state;
     struct daemon d;
     daemon_start(&d, NULL);
-    struct airy *a = join(&d);
+    struct airy *a = daemon_join(&d);
     struct picture p = picture_make(512, 512, 500, 9);
     uint64_t id = submit_raw(a, &p, true);
     status_of(a); // it is there
@@ -445,7 +436,7 @@ static void test_socket_path(void **state)
     const char *options[] = { "--socket", d.path, NULL };
     assert_int_equal(daemon_run(options, text, sizeof text), 1); // live
     assert_non_null(strstr(text, d.path));
-    struct airy *a = join(&d); // and unharmed
+    struct airy *a = daemon_join(&d); // and unharmed
     airy_close(a);
     // Killed, it leaves its file; the next replaces it.
     kill(d.pid, SIGKILL);
@@ -509,7 +500,7 @@ static void test_systemd(void **state)
             dup2(listening, 3);
         daemon_exec((const char *const[]){ "--warm", "common", NULL }, NULL);
     }
-    struct airy *a = join(&d); // connects at once, is answered when it is ready
+    struct airy *a = daemon_join(&d); // connects at once, is answered when it is ready
     char text[64] = "";
     assert_true(recv(notes, text, sizeof text - 1, 0) > 0);
     assert_non_null(strstr(text, "READY=1"));

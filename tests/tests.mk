@@ -18,13 +18,15 @@ $(T)/test_look: $(T)/reference/reference_look.o
 $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad: $(T)/airy_peer.o
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o: CFLAGS += $(if $(SAN),,-O3)
 
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
+
+$(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 
 $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(call say,LD $@)

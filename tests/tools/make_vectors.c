@@ -296,12 +296,12 @@ static void handshake_vectors(each_vector each, void *ctx)
     device.kind = (char *)"cpu";
     device.driver = (char *)"llvmpipe Mesa 22.3.6";
     char *features[] = { (char *)"exr", (char *)"raw", (char *)"memfd", (char *)"file",
-                         (char *)"inline" };
+                         (char *)"inline", (char *)"asset", (char *)"plan" };
     Airy__Welcome welcome = AIRY__WELCOME__INIT;
     welcome.version = 1;
     welcome.server = (char *)"airyd/0.1.0";
     welcome.features = features;
-    welcome.n_features = 5;
+    welcome.n_features = sizeof(features) / sizeof(features[0]);
     welcome.limits = &limits;
     welcome.device = &device;
     each(&(struct vector){ .name = "welcome",
@@ -449,6 +449,8 @@ static void result_vectors(each_vector each, void *ctx)
     energy.bright = 250;
     energy.bloomed = 24.25;
     energy.lost = 0.75;
+    energy.clamped = 12.5;
+    energy.suppressed = 0.125;
     Airy__NonFinite bad = AIRY__NON_FINITE__INIT;
     bad.nan = 2;
     bad.negative = 17;
@@ -472,6 +474,10 @@ static void result_vectors(each_vector each, void *ctx)
     target.saturated = 3;
     target.tiles = 558;
     target.tiles_bright = 61;
+    target.skipped = (char *)"497 tiles without a highlight";
+    target.storage = (char *)"half";
+    target.exposure = -1;
+    target.predicted_ms = 21.5;
     char *notes[] = { (char *)"preview dropped" };
     output.kind = AIRY__PAYLOAD__KIND__MEMFD;
     output.size = 1049000;
@@ -570,6 +576,43 @@ static void other_vectors(each_vector each, void *ctx)
          ctx);
 }
 
+static void asset_vectors(each_vector each, void *ctx)
+{
+    Airy__Payload input = AIRY__PAYLOAD__INIT;
+    Airy__Asset asset = AIRY__ASSET__INIT;
+    asset.input = &input;
+    input.kind = AIRY__PAYLOAD__KIND__FILE;
+    input.size = 24512;
+    each(&(struct vector){ .name = "asset_file",
+                           .what = "an image to be kept, from an open file",
+                           .type = WIRE_ASSET,
+                           .id = 6,
+                           .n_fds = 1,
+                           .body = &asset.base },
+         ctx);
+    Airy__AssetKept kept = AIRY__ASSET_KEPT__INIT;
+    kept.digest = (char *)"0123456789abcdef0123456789abcdef";
+    kept.width = 64;
+    kept.height = 36;
+    each(&(struct vector){ .name = "asset_kept",
+                           .what = "the image of request 6 is kept under this digest",
+                           .type = WIRE_ASSET_KEPT,
+                           .id = 6,
+                           .body = &kept.base },
+         ctx);
+    Airy__Error unknown = AIRY__ERROR__INIT;
+    unknown.code = FAULT_NO_ASSET;
+    unknown.symbol = (char *)"NO_ASSET";
+    unknown.text = (char *)"no image with digest ffffffffffffffffffffffffffffffff is kept: send it first";
+    unknown.field = (char *)"params.dirt";
+    each(&(struct vector){ .name = "error_asset",
+                           .what = "request 7 names an image that is not kept",
+                           .type = WIRE_ERROR,
+                           .id = 7,
+                           .body = &unknown.base },
+         ctx);
+}
+
 static void bad_vectors(each_vector each, void *ctx)
 {
     const struct vector bad[] = {
@@ -636,6 +679,18 @@ static void bad_vectors(each_vector each, void *ctx)
           .id = 1,
           .error = "BAD_FDS",
           .n_fds = 1 },
+        { .name = "bad_fds_asset",
+          .what = "ASSET that states 2 descriptors",
+          .type = WIRE_ASSET,
+          .id = 1,
+          .error = "BAD_FDS",
+          .n_fds = 2 },
+        { .name = "bad_sender_kept",
+          .what = "ASSET_KEPT from a client",
+          .type = WIRE_ASSET_KEPT,
+          .id = 1,
+          .error = "UNEXPECTED",
+          .from = "client" },
         { .name = "bad_flags",
           .what = "flags are not 0",
           .type = WIRE_STATUS,
@@ -680,6 +735,7 @@ static void all_vectors(each_vector each, void *ctx)
     bloom_vectors(each, ctx);
     result_vectors(each, ctx);
     other_vectors(each, ctx);
+    asset_vectors(each, ctx);
     bad_vectors(each, ctx);
 }
 
