@@ -117,7 +117,7 @@ static int find_plan(struct bloom *b, const struct bloom_request *r, const struc
         .display_width = r->display_width ? r->display_width : g->width,
         .channels = g->channels,
         .pixel_aspect = (double)r->pixel_aspect,
-        .only = p->view_spec.view == VIEW_LEVEL ? (int)p->view_spec.level : -1,
+        .only = p->view_spec.view == VIEW_LEVEL && !p->layer_count ? (int)p->view_spec.level : -1,
     };
     struct planned *oldest = &b->planned[0];
     b->plans_asked++;
@@ -245,20 +245,40 @@ static bool changes_anyway(const struct frame *fr)
     return zeroes || (fr->matte && p->emission != 1) || (view == VIEW_FINAL && displays(p));
 }
 
-static int record_pictures(struct frame *fr, struct vk_image *sum, bool dark)
+/* The spread that the pool holds now, so that pictures of the same one share it. */
+struct spread {
+    bool done;
+    int only;             /* a Gaussian's index, -1: all */
+    struct vk_image *sum; /* NULL: no glow */
+};
+
+static bool shows_glow(enum view view) { return view == VIEW_FINAL || view == VIEW_BLOOM || view == VIEW_LEVEL; }
+
+static int find_spread(struct frame *fr, const struct view_spec *view, struct spread *have)
+{
+    const int only = view->view == VIEW_LEVEL ? (int)view->level : -1;
+    if (!shows_glow(view->view) || (have->done && (have->only == only || fr->fft)))
+        return 0;
+    *have = (struct spread){ .done = true, .only = only };
+    if (fr->fft)
+        return fft_spread(fr, &have->sum);
+    struct round r;
+    if (record_spread(fr, only, &r) < 0)
+        return -1;
+    have->sum = r.any ? r.sum : NULL;
+    return 0;
+}
+
+static int record_pictures(struct frame *fr, bool dark)
 {
     const struct params *p = fr->params;
-    if ((!dark || changes_anyway(fr)) && record_output(fr, 0, &p->view_spec, sum) < 0)
-        return -1;
-    for (unsigned i = 0; i + 1 < fr->target->geometry.outputs; i++) {
-        struct vk_image *glow = sum;
-        if (p->layer[i].view == VIEW_LEVEL) {
-            struct round r;
-            if (!dark && record_spread(fr, (int)p->layer[i].level, &r) < 0)
-                return -1;
-            glow = !dark && r.any ? r.sum : NULL;
-        }
-        if (record_output(fr, i + 1, &p->layer[i], glow) < 0)
+    struct spread have = { 0 };
+    for (unsigned i = 0; i < fr->target->geometry.outputs; i++) {
+        const struct view_spec *view = i ? &p->layer[i - 1] : &p->view_spec;
+        if (i == 0 && dark && !changes_anyway(fr))
+            continue;
+        if ((!dark && find_spread(fr, view, &have) < 0) ||
+            record_output(fr, i, view, shows_glow(view->view) ? have.sum : NULL) < 0)
             return -1;
     }
     return 0;
@@ -267,23 +287,17 @@ static int record_pictures(struct frame *fr, struct vk_image *sum, bool dark)
 static int record_frame(struct frame *fr, bool dark)
 {
     struct bloom *b = fr->b;
-    struct vk_image *sum = NULL;
     if (record_begin(fr) < 0)
         return -1;
     if (fr->request->dirt && dirt_upload(fr, fr->request->dirt) < 0)
         return -1;
-    // Even of a dark frame somebody may want to see E.
-    if ((!dark || fr->keeps_e) && (record_totals(fr) < 0 || record_bright(fr) < 0))
+    // Even where no glow is added somebody may want to see E.
+    const bool off = fr->params->bloom == SWITCH_OFF;
+    if ((!dark || (fr->keeps_e && !off)) && (record_totals(fr) < 0 || record_bright(fr) < 0))
         return -1;
-    if (!dark && !fr->fft) {
-        struct round r;
-        if (ledger_record(&b->commands, &b->ledger, &b->targets, fr->f) < 0 || record_spread(fr, -1, &r) < 0)
-            return -1;
-        sum = r.any ? r.sum : NULL;
-    }
-    if (!dark && fr->fft && fft_spread(fr, &sum) < 0)
+    if (!dark && ledger_record(&b->commands, &b->ledger, &b->targets, fr->f) < 0)
         return -1;
-    return record_pictures(fr, sum, dark) < 0 ? -1 : record_end(fr);
+    return record_pictures(fr, dark) < 0 ? -1 : record_end(fr);
 }
 
 static void account(struct frame *fr, struct bloom_reply *r)
@@ -293,9 +307,9 @@ static void account(struct frame *fr, struct bloom_reply *r)
     struct ledger_sums sums;
     ledger_sum(&b->ledger, b->plan, &b->targets, &sums);
     if (fr->fft)
-        sums.bright = fr->sums.bright, sums.spread = fr->sums.spread, sums.outside = fr->sums.outside;
+        sums.bright = fr->sums.bright, sums.inside = fr->sums.inside, sums.outside = fr->sums.outside;
     r->energy_bright = fr->pad ? sums.total[TOTAL_BRIGHT] : sums.bright;
-    r->energy_bloomed = p->intensity * (sums.spread - sums.outside);
+    r->energy_bloomed = p->intensity * sums.inside;
     // With edge=fill as much comes in as goes out: nothing is lost.
     r->energy_lost = fr->pad ? 0 : p->intensity * sums.outside;
     double after = r->energy_bright;

@@ -125,9 +125,10 @@ static int convolve(struct frame *fr, const struct block *from, const struct blo
         const double spread = bright * convolver_weight(b->convolver, c);
         fr->sums.bright += bright;
         fr->sums.spread += spread;
-        fr->sums.outside += spread - sum_rows(out[c] + grow * stride + grow, stride, t->geometry.width,
-                                                  t->geometry.height);
+        fr->sums.inside += sum_rows(out[c] + grow * stride + grow, stride, t->geometry.width,
+                                     t->geometry.height);
     }
+    fr->sums.outside = fr->sums.spread - fr->sums.inside;
     return 0;
 }
 

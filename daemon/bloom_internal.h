@@ -120,6 +120,7 @@ struct ledger {
     struct ledger_region region[LEDGER_REGIONS_MAX];
     unsigned total_region; /* covers all of the coarsest level; after it LEDGER_TOTALS of the same shape */
     VkDeviceSize bytes;
+    bool whole;            /* the levels are read back whole */
     /* Per Gaussian and axis: the share of a cell's light that stays inside, [cell + LEVEL_MARGIN]. */
     double *inside_x[PARAMS_GAUSSIANS_MAX], *inside_y[PARAMS_GAUSSIANS_MAX];
     struct vk_buffer buffer;
@@ -134,7 +135,7 @@ int ledger_record_total(struct vk_commands *c, struct ledger *l, struct targets 
 struct ledger_sums {
     double bright;  /* E on the canvas */
     double spread;  /* weights * E: what B would be on a canvas without end */
-    double outside; /* of it, outside the data window */
+    double inside, outside; /* of it, and outside the data window */
     double total[LEDGER_TOTALS];
 };
 void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out);

@@ -106,6 +106,7 @@ static void add_edges(struct ledger *l, const struct targets *t, unsigned level,
 int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets *t, uint32_t pad, struct fault *f)
 {
     ledger_clear(l);
+    l->whole = pad > 0;
     uint32_t ex[PSF_LEVELS_MAX + 1] = { 0 }, ey[PSF_LEVELS_MAX + 1] = { 0 };
     for (unsigned g = 0; g < p->count; g++) {
         const struct plan_gaussian *k = &p->gaussian[g];
@@ -114,7 +115,8 @@ int ledger_prepare(struct ledger *l, const struct plan *p, const struct targets 
         l->inside_y[g] = inside(t->shape.height, pad, k->level, p->order, &k->y);
         if (!l->inside_x[g] || !l->inside_y[g])
             return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the energy ledger");
-        const uint32_t x = edge_of(l->inside_x[g], v->texels), y = edge_of(l->inside_y[g], v->groups);
+        const uint32_t x = l->whole ? v->texels : edge_of(l->inside_x[g], v->texels);
+        const uint32_t y = l->whole ? v->groups : edge_of(l->inside_y[g], v->groups);
         ex[k->level] = x > ex[k->level] ? x : ex[k->level];
         ey[k->level] = y > ey[k->level] ? y : ey[k->level];
     }
@@ -173,9 +175,9 @@ int ledger_record_total(struct vk_commands *c, struct ledger *l, struct targets 
     return 0;
 }
 
-// Sum over the region's cells of weight_c * E_c * (1 - vx * vy); all of it with vx NULL.
+// Sum over the region's cells of weight_c * E_c * (vx * vy), or, outside, of its complement; all of it with vx NULL.
 static double region_sum(const struct ledger *l, const struct ledger_region *r, const struct targets *t,
-                         const double weight[3], const double *vx, const double *vy)
+                         const double weight[3], const double *vx, const double *vy, bool outside)
 {
     double total = 0;
     const bool layered = r->level == 0;
@@ -193,7 +195,10 @@ static double region_sum(const struct ledger *l, const struct ledger_region *r, 
             const double wy = vy ? vy[y] : 0;
             double sum = 0;
             for (uint32_t i = 0; i < r->columns * 4; i++)
-                sum += vx ? e[i] * (1 - wy * vx[r->column0 * 4 + i]) : e[i];
+                {
+                const double in = vx ? wy * vx[r->column0 * 4 + i] : 1;
+                sum += e[i] * (outside ? 1 - in : in);
+            }
             of_channel += sum;
         }
         total += weight[ch] * of_channel;
@@ -206,14 +211,20 @@ void ledger_sum(const struct ledger *l, const struct plan *p, const struct targe
 {
     static const double all[3] = { 1, 1, 1 };
     const struct ledger_region *top = &l->region[l->total_region];
-    *out = (struct ledger_sums){ .bright = region_sum(l, top, t, all, NULL, NULL) };
+    *out = (struct ledger_sums){ .bright = region_sum(l, top, t, all, NULL, NULL, false) };
     for (unsigned i = 0; i < LEDGER_TOTALS; i++)
-        out->total[i] = region_sum(l, &top[1 + i], t, all, NULL, NULL);
+        out->total[i] = region_sum(l, &top[1 + i], t, all, NULL, NULL, false);
     for (unsigned g = 0; g < p->count; g++) {
         const struct plan_gaussian *k = &p->gaussian[g];
-        out->spread += region_sum(l, top, t, k->weight, NULL, NULL);
+        out->spread += region_sum(l, top, t, k->weight, NULL, NULL, false);
         for (unsigned i = 0; i <= l->total_region; i++)
-            if (l->region[i].level == k->level)
-                out->outside += region_sum(l, &l->region[i], t, k->weight, l->inside_x[g], l->inside_y[g]);
+            if (l->region[i].level == k->level) {
+                out->outside += region_sum(l, &l->region[i], t, k->weight, l->inside_x[g], l->inside_y[g], true);
+                // A difference of sums over a canvas much larger than the window would keep few digits.
+                if (l->whole)
+                    out->inside += region_sum(l, &l->region[i], t, k->weight, l->inside_x[g], l->inside_y[g], false);
+            }
     }
+    if (!l->whole)
+        out->inside = out->spread - out->outside;
 }

@@ -286,7 +286,7 @@ static int32_t develop_features(const struct frame *fr, const struct view_spec *
     features |= glow && has_dirt(fr) ? 4096 : 0;
     features |= glow ? 8192 : 0;
     const bool e = view->view == VIEW_BRIGHT || view->view == VIEW_RESIDUAL || (final && p->composite == COMPOSITE_MIX);
-    return features | (e && fr->keeps_e ? 16384 : 0);
+    return features | (e && fr->keeps_e && p->bloom == SWITCH_ON ? 16384 : 0);
 }
 
 // Of a final picture, whether the plain composite makes it.

@@ -152,7 +152,7 @@ static int open_targets(struct job *j, struct fault *f)
     for (unsigned i = 0; i < n; i++)
         if (grow_read(j, exr_target(j->exr, i), f) < 0)
             return -1;
-    return output_check(j, f);
+    return exr_grow_check(j->exr, f) < 0 ? -1 : output_check(j, f);
 }
 
 static int open_exr(struct job *j, struct fault *f)

@@ -48,6 +48,7 @@ static int read_params(struct job *j, const Airy__Bloom *b, struct fault *f)
     for (size_t i = 0; i < b->n_params; i++) // of two the last holds
         if (read_param(&j->params, b->params[i], f) < 0)
             return -1;
+    params_look_defaults(&j->params);
     return params_check(&j->params, f) < 0 ? -1 : find_assets(j, f);
 }
 

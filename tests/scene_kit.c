@@ -195,10 +195,10 @@ static void read_back(struct scene *s)
     for (unsigned k = 0; k < s->outputs; k++)
         for (unsigned c = 0; c < s->channels; c++) {
             s->out[k][c] = plane_make(pixels_out(s));
-            // An untouched frame is its input, and beyond that 0.
-            const bool in = s->reply.untouched;
+            // An untouched picture is its input, and beyond that 0; layers are written all the same.
+            const bool in = s->reply.untouched && k == 0;
             const unsigned margin = in ? s->grow : 0, rows = s->height + (in ? 0 : 2 * s->grow);
-            for (unsigned y = 0; y < rows && (!in || k == 0); y++)
+            for (unsigned y = 0; y < rows; y++)
                 get(in ? &s->in_planes[0] : &s->out_planes[k], c, y,
                     s->out[k][c] + ((size_t)y + margin) * (s->width + 2 * s->grow) + margin);
         }
@@ -296,8 +296,10 @@ static void final_interval(const struct judge *j, size_t i, unsigned c, double *
         for (unsigned u = 0; u < j->f->channels; u++)
             v[u] = glow[u] + (corner >> u & 1 ? slack[u] : -slack[u]);
         reference_final(out, scene, bright, v, j->f->channels, j->f->luma, j->p);
-        *low = fmin(*low, out[c] - 1e-6 * fabs(out[c]));
-        *high = fmax(*high, out[c] + 1e-6 * fabs(out[c]));
+        // Below 0 after the tone map (a glow short by its bound) an encoding has no value: black.
+        const double o = isnan(out[c]) ? 0 : out[c];
+        *low = fmin(*low, o - 1e-6 * fabs(o));
+        *high = fmax(*high, o + 1e-6 * fabs(o));
     }
 }
 

@@ -163,6 +163,7 @@ static int scene_try(struct scene *s, const struct params *p, struct bloom *b, s
     }
     struct bloom_request r = { .params = p, .scan = &s->scan[SCENE], .source = index[SOURCE], .matte = index[MATTE],
                                .depth = index[DEPTH], .pixel_aspect = (float)s->aspect,
+                               .matte_scan = s->with[MATTE] ? &s->scan[MATTE] : NULL,
                                .source_scan = s->with[SOURCE] ? &s->scan[SOURCE] : NULL };
     memcpy(r.luma, s->luma, sizeof(r.luma));
     s->reply = (struct bloom_reply){ 0 };

@@ -195,7 +195,7 @@ static void random_output(struct params *p)
         p->intensity = p->composite == COMPOSITE_MIX ? fmin(p->intensity, 1) : p->intensity;
     }
     if (ENGINE_HAS_FILL)
-        p->edge = chance(.3) ? EDGE_FILL : EDGE_ZERO;
+        p->edge = chance(.1) ? EDGE_FILL : EDGE_ZERO;
     if (ENGINE_HAS_DISPLAY && chance(.3)) {
         p->display = (int)below(3);
         p->encoding = (int)below(3);
