@@ -48,7 +48,7 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
                       ? vk_compute_create(&b->vk, &p->pipeline, s->words, s->bytes, f)
                       : vk_pipeline_create(&b->vk, &p->pipeline, s->words, s->bytes,
                                            picture ? VK_FORMAT_R32G32B32A32_UINT : VK_FORMAT_R32G32B32A32_SFLOAT,
-                                           attachments, &spec, layered || starts(name, "develop") ? 1 : 0, f);
+                                           attachments, &spec, layered || picture ? 1 : 0, f);
     if (r < 0)
         return NULL;
     snprintf(p->name, sizeof(p->name), "%s", name);
@@ -413,7 +413,11 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
         return 0;
     }
     r.untouched = dark && !changes_anyway(&fr);
-    if (prepare_targets(&fr) < 0 || (fr.fft && !dark && fft_prepare(&fr) < 0) || record_frame(&fr, dark) < 0)
+    if (prepare_targets(&fr) < 0 || (fr.fft && !dark && fft_prepare(&fr) < 0))
+        return -1;
+    if (!dark)
+        fr.most_glow = fr.params->intensity * r.max_bright * (plan_weight(&fr) * (1 + 0x1p-10) + plan_bound(&fr));
+    if (record_frame(&fr, dark) < 0)
         return -1;
     r.device_ms = now_ms() - start;
     log_profile(b);
@@ -516,18 +520,31 @@ void bloom_destroy(struct bloom *b)
 
 const struct bloom_device_info *bloom_device(const struct bloom *b) { return &b->info; }
 unsigned bloom_validation_messages(const struct bloom *b) { return b->vk.messages; }
+// Of a shader's variants, how many plain requests have: a bright pass has one a curve; the others one each, whatever else
+// the scan of a frame may ask for.
+static unsigned plain_variants(const char *name)
+{
+    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram" };
+    for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
+        if (starts(name, rare[k]))
+            return 0;
+    return starts(name, "bright") ? BRIGHT_SMOOTHSTEP + 1 : 1;
+}
+
 unsigned bloom_pipelines(const struct bloom *b, unsigned *possible)
 {
+    unsigned made = 0;
     *possible = 0;
-    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram", "look" };
     for (unsigned i = 0; i < sizeof(spirv_table) / sizeof(spirv_table[0]); i++) {
-        bool common = true;
-        for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
-            common &= !starts(spirv_table[i].name, rare[k]);
-        if (common)
-            *possible += strncmp(spirv_table[i].name, "bright", 6) ? 1 : BRIGHT_SMOOTHSTEP + 1;
+        const char *name = spirv_table[i].name;
+        const unsigned most = plain_variants(name);
+        unsigned have = 0;
+        for (unsigned k = 0; k < b->pipelines; k++)
+            have += !strcmp(b->pipeline[k].name, name);
+        *possible += most;
+        made += have < most ? have : most;
     }
-    return b->pipelines;
+    return made;
 }
 
 void bloom_list_devices(void (*print)(const char *line)) { vk_list(print); }

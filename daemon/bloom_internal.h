@@ -218,6 +218,7 @@ struct frame {
     bool keeps_e;                /* E is wanted at full size by more than the spread */
     bool rich;                   /* the bright pass is extract.frag */
     struct ledger_sums sums;
+    double most_glow;            /* an upper bound of intensity * B */
     struct fault *f;
 };
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // bloom_record.c - a frame's passes, in METHODS' order: bright pass, the pyramid, the Gaussians coarsest first, the pictures.
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -309,6 +310,16 @@ static void set_dirt(const struct frame *fr, struct pass_uniforms *u)
     u->mode[3] = (int32_t)m->height;
 }
 
+// What the composite need not ask of each pixel, for the scan has asked it: bits of composite.frag's KNOWN.
+static int32_t known(const struct frame *fr)
+{
+    const struct frame_scan *s = fr->request->scan;
+    const double largest = fr->target->geometry.type == PIXEL_TYPE_HALF ? 65504 : (double)FLT_MAX;
+    // Negative samples only bring a sum down; how far below 0 they go the scan does not tell.
+    const bool in_range = s->negative == 0 && frame_scan_max_channel(s) + fr->most_glow <= largest * (1 - 0x1p-20);
+    return (s->nan || s->positive_inf || s->negative_inf ? 0 : 1) | (in_range ? 2 : 0);
+}
+
 // Steps 7 to 9.
 int record_output(struct frame *fr, unsigned output, const struct view_spec *view, struct vk_image *sum)
 {
@@ -319,7 +330,7 @@ int record_output(struct frame *fr, unsigned output, const struct view_spec *vie
     const unsigned order = sum && pyramid->shape.finest ? b->plan->order[0] : 0;
     struct vk_draw d = { .add = sum ? sum : &pyramid->pool[0] };
     if (plain)
-        d.pipeline = pipeline_get(b, fr->f, 0, "composite_o%u%s", order, type_of(t));
+        d.pipeline = pipeline_get(b, fr->f, known(fr), "composite_o%u%s", order, type_of(t));
     else
         d.pipeline = pipeline_get(b, fr->f, develop_features(fr, view, sum != NULL), "develop_o%u_c%u%s", order,
                                   t->geometry.channels, type_of(t));

@@ -99,11 +99,14 @@ void main()
         int channel = SATURATE ? c : own;
         if (!SATURATE && c > 0)
             continue;
-        float b[4][WIDE];
+        float coarse[GLOW_ROWS][GLOW_CELLS];
         if (GLOW)
-            glow(at.x, channel, group, b);
+            glow_read(at.x, channel, group, coarse);
         [[unroll]] for (int p = 0; p < 4; p++) {
             ivec2 texel = ivec2(at.x, min(4 * group + p, pass.frame.y - 1));
+            float b[WIDE];
+            if (GLOW)
+                glow_row(coarse, p, b);
             uvec4 bits;
             if (SATURATE)
                 bits = imageLoad(planes[c], texel);
@@ -115,7 +118,7 @@ void main()
                 float base = sample_bits(bits, i, IS_HALF);
                 if (nonfinite(floatBitsToUint(base)))
                     base = 0.0;
-                v[c][p][i] = developed(base, GLOW ? b[p][i] : 0.0, ivec2(min(at.x * WIDE + i, pass.frame.x - 1), texel.y), channel);
+                v[c][p][i] = developed(base, GLOW ? b[i] : 0.0, ivec2(min(at.x * WIDE + i, pass.frame.x - 1), texel.y), channel);
             }
         }
     }
