@@ -82,7 +82,9 @@ static int record_plain(struct frame *fr, unsigned order)
     struct targets *t = &fr->b->targets;
     const struct params *p = fr->params;
     struct vk_draw d = { .dst = &t->layered };
-    d.pipeline = pipeline_get(fr->b, fr->f, p->bright, "bright_o%u_c%u%s", order, t->shape.channels, type_of(fr->source));
+    const struct frame_scan *s = fr->scan;
+    const int32_t features = p->bright | (s->nan || s->positive_inf || s->negative_inf ? 0 : 8) | (s->negative ? 0 : 16);
+    d.pipeline = pipeline_get(fr->b, fr->f, features, "bright_o%u_c%u%s", order, t->shape.channels, type_of(fr->source));
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);

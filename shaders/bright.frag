@@ -11,7 +11,10 @@
 #include "binomial.glsl"
 #endif
 
-layout(constant_id = 0) const int CURVE = 3;
+// Bits 0-2 the curve, 3: the scan has found no NaN and no Inf, 4: nor a negative sample.
+layout(constant_id = 0) const int FEATURES = 3;
+const int CURVE = FEATURES & 7;
+const bool CLEAN = (FEATURES & 8) != 0, POSITIVE = (FEATURES & 16) != 0;
 
 #if CHANNELS == 3
 layout(location = 0) out vec4 out_r0;
@@ -39,6 +42,11 @@ const int FIRST = 0, SPAN = 4, STEP = 4;
 #endif
 
 #include "curve.glsl"
+
+float sane(float v)
+{
+    return CLEAN ? (POSITIVE ? v : max(v, 0.0)) : finite_part(v);
+}
 
 void unpack_texel(uvec4 u, out float v[8])
 {
@@ -77,11 +85,13 @@ void main()
         vec3 e[32];
         [[unroll]] for (int t = 0; t < TEXELS; t++) {
             int tc = clamp(texel0 + t, 0, texels - 1);
+            // Outside the planes there is no light; past a row's last pixel its texel holds 0.
+            bool inside = inside_y && tc == texel0 + t;
             float r[8], g[8], b[8];
-            unpack_texel(imageLoad(planes[0], ivec2(tc, yc)), r);
+            unpack_texel(inside ? imageLoad(planes[0], ivec2(tc, yc)) : uvec4(0u), r);
 #if CHANNELS == 3
-            unpack_texel(imageLoad(planes[1], ivec2(tc, yc)), g);
-            unpack_texel(imageLoad(planes[2], ivec2(tc, yc)), b);
+            unpack_texel(inside ? imageLoad(planes[1], ivec2(tc, yc)) : uvec4(0u), g);
+            unpack_texel(inside ? imageLoad(planes[2], ivec2(tc, yc)) : uvec4(0u), b);
 #else
             g = r;
             b = r;
@@ -93,15 +103,11 @@ void main()
                     continue;
 #endif
                 }
-                int x = (texel0 + t) * WIDE + i;
-                bool inside = inside_y && x >= 0 && x < pass.frame.x;
 #if CHANNELS == 3
-                vec3 c = vec3(finite_part(r[i]), finite_part(g[i]), finite_part(b[i]));
+                e[t * WIDE + i] = excess(vec3(sane(r[i]), sane(g[i]), sane(b[i])));
 #else
-                vec3 c = vec3(finite_part(r[i]), 0.0, 0.0);
+                e[t * WIDE + i] = excess(vec3(sane(r[i]), 0.0, 0.0));
 #endif
-                vec3 v = excess(c);
-                e[t * WIDE + i] = inside ? v : vec3(0.0);
             }
         }
         [[unroll]] for (int i = 0; i < 4; i++) {
