@@ -349,6 +349,8 @@ static double plan_weight(const struct frame *fr)
 static void untouched(struct bloom_reply *r)
 {
     r->untouched = true;
+    snprintf(r->skipped, sizeof(r->skipped), "everything: %s",
+             r->max_bright == 0 ? "no highlight" : "the glow has no weight");
     snprintf(r->plan, sizeof(r->plan), "untouched: %s",
              r->max_bright == 0 ? "no pixel is above the threshold" : "the glow has no weight");
     snprintf(r->rule, sizeof(r->rule), "-");
@@ -417,8 +419,13 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
         return -1;
     if (!dark)
         fr.most_glow = fr.params->intensity * r.max_bright * (plan_weight(&fr) * (1 + 0x1p-10) + plan_bound(&fr));
+    struct lit lit;
+    fr.lit = !dark && !b->whole && bright_lit(&fr, &lit) ? &lit : NULL;
     if (record_frame(&fr, dark) < 0)
         return -1;
+    if (fr.lit)
+        snprintf(r.skipped, sizeof(r.skipped), "bright pass and first levels of %.0f %% of the tiles: no highlight there",
+                 100 * (1 - lit.share));
     r.device_ms = now_ms() - start;
     log_profile(b);
     if (!dark) {
@@ -462,6 +469,7 @@ static int open_device(struct bloom *b, const struct bloom_options *o, struct fa
     b->info.cpu = b->vk.cpu;
     b->info.max_dimension = b->vk.properties.limits.maxImageDimension2D;
     b->staged = !b->vk.cpu || o->staged;
+    b->whole = o->whole;
     if (vk_commands_create(&b->vk, &b->commands, o->profile, f) < 0)
         return -1;
     if (vk_image_create(&b->vk, &b->blank, VK_FORMAT_R32G32B32A32_SFLOAT, 1, 1, 1, false, f) < 0 ||

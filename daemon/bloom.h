@@ -26,6 +26,7 @@ struct bloom_options {
     bool warm_all;       /* draw with every pipeline at start, not only with those of common requests: some
                             20 s when the driver has none of them in its cache, 2 s when it has */
     bool profile;        /* log the time of each pass (METHODS' stages) of every frame */
+    bool whole;          /* draw also where nothing can glow (for tests) */
     bool staged;         /* copy through staging buffers even where the device needs none (for tests) */
     void (*log)(const char *line); /* may be NULL */
 };

@@ -62,6 +62,12 @@ static double clamp_bound(const struct frame *fr)
     return most;
 }
 
+static double tile_bound(const struct frame *fr, uint32_t tile)
+{
+    const double gain = matte_gain(fr, tile);
+    return bright_bound(fr, of_bits(fr->scan->tile_luma[tile]) * gain, of_bits(fr->scan->tile_channel[tile]) * gain);
+}
+
 void bright_count(const struct frame *fr, struct bloom_reply *reply)
 {
     const struct frame_scan *s = fr->scan;
@@ -69,11 +75,64 @@ void bright_count(const struct frame *fr, struct bloom_reply *reply)
     reply->max_bright = 0;
     const double most = clamp_bound(fr);
     for (uint32_t i = 0; i < reply->tiles && fr->params->bloom == SWITCH_ON; i++) {
-        const double gain = matte_gain(fr, i);
-        const double e = fmin(most, bright_bound(fr, of_bits(s->tile_luma[i]) * gain, of_bits(s->tile_channel[i]) * gain));
+        const double e = fmin(most, tile_bound(fr, i));
         reply->tiles_bright += e > 0;
         reply->max_bright = fmax(reply->max_bright, e);
     }
+}
+
+// One rectangle more, or the last one that spans the same columns and ends above it made longer.
+static bool lit_add(struct lit *l, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1)
+{
+    for (unsigned i = 0; i < l->count; i++)
+        if (l->x0[i] == x0 && l->x1[i] == x1 && l->y1[i] == y0) {
+            l->y1[i] = y1;
+            return true;
+        }
+    if (l->count == LIT_MAX)
+        return false;
+    const unsigned i = l->count++;
+    l->x0[i] = x0;
+    l->y0[i] = y0;
+    l->x1[i] = x1;
+    l->y1[i] = y1;
+    return true;
+}
+
+// Runs of bright tiles in each row of tiles; gaps of up to `gap` tiles are taken along, for a draw has its price too.
+static bool lit_runs(const struct frame *fr, uint32_t gap, struct lit *l)
+{
+    const struct frame_scan *s = fr->scan;
+    const uint32_t grow = fr->source->geometry.grow;
+    uint32_t covered = 0;
+    *l = (struct lit){ 0 };
+    for (uint32_t y = 0; y < s->tiles_y; y++)
+        for (uint32_t x = 0; x < s->tiles_x;) {
+            if (!(tile_bound(fr, y * s->tiles_x + x) > 0)) {
+                x++;
+                continue;
+            }
+            uint32_t end = x + 1;
+            for (uint32_t k = end; k < s->tiles_x && k <= end + gap; k++)
+                if (tile_bound(fr, y * s->tiles_x + k) > 0)
+                    end = k + 1;
+            if (!lit_add(l, x * SCAN_TILE + grow, y * SCAN_TILE + grow, end * SCAN_TILE + grow, (y + 1) * SCAN_TILE + grow))
+                return false;
+            covered += end - x;
+            x = end;
+        }
+    l->share = covered / ((double)s->tiles_x * s->tiles_y);
+    return true;
+}
+
+bool bright_lit(const struct frame *fr, struct lit *out)
+{
+    if (fr->rich || fr->source->geometry.width < 4 * SCAN_TILE)
+        return false;
+    for (uint32_t gap = 1; gap <= fr->scan->tiles_x; gap *= 2)
+        if (lit_runs(fr, gap, out))
+            return out->share < 0.75;
+    return false;
 }
 
 void bright_set(struct frame *fr)

@@ -168,7 +168,7 @@ struct look_targets;
 struct bloom {
     struct vk vk;
     struct bloom_device_info info;
-    bool staged;
+    bool staged, whole;
     struct named_pipeline pipeline[PIPELINES_MAX];
     unsigned pipelines;
     struct vk_commands commands;
@@ -219,13 +219,24 @@ struct frame {
     bool rich;                   /* the bright pass is extract.frag */
     struct ledger_sums sums;
     double most_glow;            /* an upper bound of intensity * B */
+    const struct lit *lit;       /* where E may be above 0; NULL: anywhere */
     struct fault *f;
+};
+
+/* The parts of the planes in which some tile has a highlight: runs of tiles, so a few rectangles; pixels. */
+enum { LIT_MAX = 48 };
+struct lit {
+    unsigned count;
+    uint32_t x0[LIT_MAX], y0[LIT_MAX], x1[LIT_MAX], y1[LIT_MAX];
+    double share; /* of all tiles, those inside */
 };
 
 /* ---- bloom_bright.c: what glows, without looking at pixels ---- */
 void bright_set(struct frame *fr);
 /* Tiles, tiles_bright and max_bright of the reply. */
 void bright_count(const struct frame *fr, struct bloom_reply *reply);
+/* False: nearly everywhere, or too scattered to be worth it. */
+bool bright_lit(const struct frame *fr, struct lit *out);
 /* What E's own arithmetic rounds off, of max E. */
 double bright_rounding(const struct frame *fr, const struct bloom_reply *reply);
 

@@ -68,6 +68,75 @@ static void added(struct pass_uniforms *u, const struct level *v)
     u->add[1] = (int32_t)v->groups;
 }
 
+/* ---- only where there is light ----------------------------------------------------------------------- */
+
+// Coarser levels cost too little to be cut up.
+enum { LIT_OCTAVES = 2 };
+enum { RECTS_MAX = 3 * LIT_MAX };
+struct rects {
+    unsigned count;
+    VkRect2D rect[RECTS_MAX];
+};
+
+static uint32_t clamped(double v, uint32_t most) { return v <= 0 ? 0 : v >= most ? most : (uint32_t)v; }
+
+// A span of pixels, widened by `reach`, as units of `per` stored cells of a level (the margin before its cell 0 included).
+static void span(uint32_t from, uint32_t to, double reach, unsigned level, unsigned per, uint32_t most, int32_t *first,
+                 uint32_t *count)
+{
+    const uint32_t a = clamped(floor((floor(ldexp(from - reach, -(int)level)) + LEVEL_MARGIN) / per), most);
+    const uint32_t b = clamped(ceil((ceil(ldexp(to + reach, -(int)level)) + 1 + LEVEL_MARGIN) / per), most);
+    *first = (int32_t)a;
+    *count = b - a;
+}
+
+// Where an image of this level can be above 0 when nothing has travelled further than these pixels; false: draw all of it.
+static bool lit_rects(const struct frame *fr, unsigned level, double reach_x, double reach_y, const struct level *v,
+                      struct vk_draw *d, struct rects *out)
+{
+    const struct lit *l = fr->lit;
+    if (!l)
+        return false;
+    double area = 0;
+    out->count = 0;
+    for (unsigned c = 0; c < fr->target->geometry.channels; c++)
+        for (unsigned i = 0; i < l->count; i++) {
+            VkRect2D *r = &out->rect[out->count++];
+            span(l->x0[i], l->x1[i], reach_x, level, 4, v->texels, &r->offset.x, &r->extent.width);
+            span(l->y0[i], l->y1[i], reach_y, level, 4, v->groups, &r->offset.y, &r->extent.height);
+            r->offset.y += (int32_t)(c * v->groups);
+            area += (double)r->extent.width * r->extent.height;
+        }
+    if (area > 0.8 * v->texels * v->groups * fr->target->geometry.channels)
+        return false;
+    d->rects = out->rect;
+    d->n_rects = out->count;
+    return true;
+}
+
+// The same of the bright pass's image: rows at full size, columns at full size or halved.
+static bool lit_layered(const struct frame *fr, unsigned level, struct vk_draw *d, struct rects *out)
+{
+    const struct targets *t = &fr->b->targets;
+    const struct lit *l = fr->lit;
+    if (!l)
+        return false;
+    out->count = 0;
+    for (unsigned i = 0; i < l->count; i++) {
+        VkRect2D *r = &out->rect[out->count++];
+        span(l->x0[i], l->x1[i], level ? 4 : 0, level, 4, t->layered.width, &r->offset.x, &r->extent.width);
+        span(l->y0[i], l->y1[i], 0, 0, 2, t->layered.height, &r->offset.y, &r->extent.height);
+    }
+    d->rects = out->rect;
+    d->n_rects = out->count;
+    return true;
+}
+
+// Pixels that light has travelled to E of a level: less than 4 cells of each level on the way.
+static double reach_of_level(unsigned level) { return level ? ldexp(4, (int)level) : 0; }
+
+/* ---- the bright pass --------------------------------------------------------------------------------- */
+
 static void planes_of(const struct slot_target *t, struct vk_draw *d)
 {
     for (unsigned c = 0; c < VK_PLANES; c++)
@@ -91,6 +160,8 @@ static int record_plain(struct frame *fr, unsigned order)
     set_curve(fr, u);
     planes_of(fr->source, &d);
     d.area = area_of(t->layered.width, t->layered.height);
+    struct rects rects;
+    lit_layered(fr, order ? 1 : 0, &d, &rects);
     vk_draw(&fr->b->commands, &d);
     return 0;
 }
@@ -143,6 +214,10 @@ static int record_down(struct frame *fr, unsigned octave, unsigned order)
     else
         layered_source(t, u);
     level_area(fr, &t->level[octave + 1], &d, u);
+    struct rects rects;
+    const double reach = reach_of_level(octave + 1);
+    if (octave < LIT_OCTAVES)
+        lit_rects(fr, octave + 1, reach, reach, &t->level[octave + 1], &d, &rects);
     vk_draw(&fr->b->commands, &d);
     return 0;
 }
@@ -216,6 +291,10 @@ static int record_gaussian(struct frame *fr, const struct plan_gaussian *k, stru
         layered_source(t, u);
     level_area(fr, v, &h, u);
     set_taps(u, &k->x);
+    struct rects rects;
+    const double reach = reach_of_level(k->level);
+    if (k->level <= LIT_OCTAVES)
+        lit_rects(fr, k->level, reach + ldexp(k->x.half, (int)k->level), reach, v, &h, &rects);
     vk_draw(&fr->b->commands, &h);
 
     u = pass_begin(fr, &w);

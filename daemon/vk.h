@@ -165,6 +165,8 @@ struct vk_draw {
     unsigned bands;                        /* > 1: the area is drawn in so many bands of equal height, and
                                               band i finds in[i] where a single band finds in[0] */
     bool all_planes;                       /* but every band finds all of in[] */
+    const VkRect2D *rects;                 /* NULL: all of the area. Else it is cleared to 0 and only these are drawn */
+    unsigned n_rects;
     VkBuffer uniforms;
     VkDeviceSize uniforms_offset, uniforms_bytes;
 };

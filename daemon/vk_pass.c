@@ -382,7 +382,7 @@ void vk_draw(struct vk_commands *c, const struct vk_draw *d)
             .sType = VK_STRUCTURE_TYPE_RENDERING_ATTACHMENT_INFO,
             .imageView = m->layer_view[d->dst ? i : 0],
             .imageLayout = VK_IMAGE_LAYOUT_GENERAL,
-            .loadOp = VK_ATTACHMENT_LOAD_OP_DONT_CARE,
+            .loadOp = d->rects ? VK_ATTACHMENT_LOAD_OP_CLEAR : VK_ATTACHMENT_LOAD_OP_DONT_CARE,
             .storeOp = VK_ATTACHMENT_STORE_OP_STORE,
         };
         width = m->width;
@@ -405,13 +405,17 @@ void vk_draw(struct vk_commands *c, const struct vk_draw *d)
     vkCmdBeginRendering(c->buffer, &rendering);
     vkCmdBindPipeline(c->buffer, VK_PIPELINE_BIND_POINT_GRAPHICS, d->pipeline->pipeline);
     vkCmdSetViewport(c->buffer, 0, 1, &viewport);
-    const unsigned bands = d->bands > 1 ? d->bands : 1;
-    for (unsigned i = 0; i < bands; i++) {
-        VkRect2D band = d->area;
-        band.extent.height /= bands;
-        band.offset.y += (int32_t)(i * band.extent.height);
-        vkCmdSetScissor(c->buffer, 0, 1, &band);
-        push_bindings(c, d, i, VK_PIPELINE_BIND_POINT_GRAPHICS, NULL);
+    const unsigned bands = d->bands > 1 ? d->bands : 1, draws = d->rects ? d->n_rects : bands;
+    assert(!d->rects || bands == 1);
+    for (unsigned i = 0; i < draws; i++) {
+        VkRect2D part = d->rects ? d->rects[i] : d->area;
+        if (!d->rects) {
+            part.extent.height /= bands;
+            part.offset.y += (int32_t)(i * part.extent.height);
+        }
+        vkCmdSetScissor(c->buffer, 0, 1, &part);
+        if (i == 0 || bands > 1)
+            push_bindings(c, d, i, VK_PIPELINE_BIND_POINT_GRAPHICS, NULL);
         vkCmdDraw(c->buffer, 3, 1, 0, 0);
     }
     vkCmdEndRendering(c->buffer);

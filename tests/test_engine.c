@@ -297,6 +297,54 @@ static void test_same_bytes(void **state)
     scene_finish(&o);
 }
 
+// What is not drawn, for no tile there has a highlight, changes no bit.
+static void test_dark_tiles(void **state)
+{
+    (void)state;
+    static const char *const psf[] = { "gaussians:sigma=4/8/40,weight=.2/.3/.4", "gaussians:sigma=1.5/6,weight=.3",
+                                       "gaussians:sigma=20,weight=1" };
+    struct bloom *whole;
+    struct fault f = { 0 };
+    const struct bloom_options options = { .slots = 1, .whole = true, .validate = validate, .log = log_line };
+    if (bloom_create(&whole, &options, &f) < 0)
+        fail_msg("%s", f.text);
+    struct scene s;
+    for (unsigned i = 0; i < 12; i++) {
+        const enum pixel_type type = i & 1 ? PIXEL_TYPE_HALF : PIXEL_TYPE_FLOAT;
+        struct params p = scene_params(psf[i % 3], BRIGHT_KNEE, i % 4 < 2 ? 1e-3 : 1e-5);
+        scene_init(&s, 400 + 37 * i, 300 + 29 * i, i % 4 == 3 ? 1 : 3, type);
+        s.grow = i % 5 == 4 ? 24 : 0;
+        // Lamps at the corners of tiles, where a pixel's light leaves its tile at once, and some anywhere.
+        for (unsigned k = 0; k < 6; k++) {
+            const unsigned x = k < 3 ? 64 * (1 + k * 2) - (k & 1) : (unsigned)(scene_uniform() * s.width);
+            const unsigned y = k < 3 ? 64 * (1 + k) - (k >> 1) : (unsigned)(scene_uniform() * s.height);
+            for (unsigned c = 0; c < s.channels; c++)
+                s.plane[c][y * s.width + x] = 50 + 1000 * scene_uniform();
+        }
+        scene_run(&s, &p, engine, 0);
+        assert_true(s.reply.skipped[0] != 0);
+        print_message("%s (%u of %u tiles bright)\n", s.reply.skipped, s.reply.tiles_bright, s.reply.tiles);
+        const size_t samples = (size_t)(s.width + 2 * s.grow) * (s.height + 2 * s.grow);
+        double *first[3] = { 0 };
+        for (unsigned c = 0; c < s.channels; c++) {
+            first[c] = malloc(samples * sizeof(double));
+            assert_non_null(first[c]);
+            memcpy(first[c], s.out[0][c], samples * sizeof(double));
+        }
+        const double bright = s.reply.energy_bright, lost = s.reply.energy_lost;
+        scene_run(&s, &p, whole, 0);
+        assert_true(s.reply.skipped[0] == 0);
+        assert_true(s.reply.energy_bright == bright && s.reply.energy_lost == lost);
+        for (unsigned c = 0; c < s.channels; c++) {
+            assert_memory_equal(first[c], s.out[0][c], samples * sizeof(double));
+            free(first[c]);
+        }
+        scene_finish(&s);
+    }
+    assert_int_equal(bloom_validation_messages(whole), 0);
+    bloom_destroy(whole);
+}
+
 // Case 15: a mirrored frame gives the mirrored result, to float32 rounding.
 static void test_mirror(void **state)
 {
@@ -380,6 +428,7 @@ int main(void)
         cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_all_halfs_keep_their_bits),
         cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_dark_tiles),
         cmocka_unit_test(test_mirror),
         cmocka_unit_test(test_all_pipelines_draw),
         cmocka_unit_test(test_no_validation_message),
