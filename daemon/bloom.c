@@ -14,6 +14,9 @@
 #include "look.h"
 #include "spirv.h"
 
+// Would auto take half where it may? Measured on lavapipe: half the memory and the same time, so float32, which is the more
+// accurate, stays. A constant, so that a request gives the same bytes on every day.
+enum { HALF_PAYS = 0 };
 enum { LEDGER_CELLS = 256 }; // the coarsest level is at most this wide and high, for its sum is read back
 
 /* ---- pipelines ----------------------------------------------------------------------------------- */
@@ -47,7 +50,9 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
     const int r = starts(name, "histogram")
                       ? vk_compute_create(&b->vk, &p->pipeline, s->words, s->bytes, f)
                       : vk_pipeline_create(&b->vk, &p->pipeline, s->words, s->bytes,
-                                           picture ? VK_FORMAT_R32G32B32A32_UINT : VK_FORMAT_R32G32B32A32_SFLOAT,
+                                           picture          ? VK_FORMAT_R32G32B32A32_UINT
+                                           : strstr(name, "_s16") ? VK_FORMAT_R16G16B16A16_SFLOAT
+                                                                  : VK_FORMAT_R32G32B32A32_SFLOAT,
                                            attachments, &spec, layered || picture ? 1 : 0, f);
     if (r < 0)
         return NULL;
@@ -182,6 +187,34 @@ static void set_features(struct frame *fr)
                   p->composite == COMPOSITE_MIX;
 }
 
+// Levels as half: for plain pictures, where the bound allows it and no number is beyond float32's middle.
+static int choose_storage(struct frame *fr, double max_bright)
+{
+    const struct params *p = fr->params;
+    const struct plan *plan = fr->b->plan;
+    fr->half = false;
+    fr->scale = 1;
+    if (p->storage == STORAGE_FLOAT || fr->fft)
+        return 0;
+    const bool plain = !fr->keeps_e && is_plain_picture(fr, &p->view_spec) && fr->target->geometry.outputs == 1;
+    const bool sane = max_bright > 1e-25 && max_bright * fmax(1, plan->weight_sum) < 1e30;
+    if (!plain || !sane || !plan_holds_half(plan, p->tolerance)) {
+        if (p->storage == STORAGE_HALF && plain && sane)
+            return fault_set(fr->f, FAULT_PARAM_CONFLICT, "params.storage",
+                             "storage=half: levels of half would err by up to %.2g here, and tolerance is %g: float or auto expected",
+                             plan->filter_bound + plan->half_bound, p->tolerance);
+        return 0;
+    }
+    if (p->storage == STORAGE_AUTO && !HALF_PAYS)
+        return 0;
+    fr->half = true;
+    // Weighted sums of numbers up to max E stay below half of 65504.
+    int exponent;
+    frexp(max_bright * fmax(1, plan->weight_sum), &exponent);
+    fr->scale = ldexp(1, 15 - exponent);
+    return 0;
+}
+
 static int prepare_targets(struct frame *fr)
 {
     struct bloom *b = fr->b;
@@ -195,6 +228,7 @@ static int prepare_targets(struct frame *fr)
         .octaves = octaves_for(b->plan, width, height),
         .full_size = full,
         .finest = b->plan->full_size || fr->fft ? 0 : 1,
+        .half = fr->half,
     };
     if (b->prepared == b->plan && b->prepared_pad == fr->pad + t->geometry.grow && targets_same(&b->targets, &shape))
         return 0;
@@ -305,7 +339,7 @@ static void account(struct frame *fr, struct bloom_reply *r)
     struct bloom *b = fr->b;
     const struct params *p = fr->params;
     struct ledger_sums sums;
-    ledger_sum(&b->ledger, b->plan, &b->targets, &sums);
+    ledger_sum(&b->ledger, b->plan, &b->targets, fr->scale, &sums);
     if (fr->fft)
         sums.bright = fr->sums.bright, sums.inside = fr->sums.inside, sums.outside = fr->sums.outside;
     r->energy_bright = fr->pad ? sums.total[TOTAL_BRIGHT] : sums.bright;
@@ -338,7 +372,7 @@ static void describe_plan(struct bloom *b, const struct params *p, struct bloom_
 static double plan_bound(const struct frame *fr)
 {
     const struct plan *p = fr->b->plan;
-    return fr->fft ? fft_bound(fr) : p->filter_bound + p->weight_sum * p->rounding_bound;
+    return fr->fft ? fft_bound(fr) : p->filter_bound + p->weight_sum * p->rounding_bound + (fr->half ? p->half_bound : 0);
 }
 
 static double plan_weight(const struct frame *fr)
@@ -415,7 +449,7 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
         return 0;
     }
     r.untouched = dark && !changes_anyway(&fr);
-    if (prepare_targets(&fr) < 0 || (fr.fft && !dark && fft_prepare(&fr) < 0))
+    if (choose_storage(&fr, r.max_bright) < 0 || prepare_targets(&fr) < 0 || (fr.fft && !dark && fft_prepare(&fr) < 0))
         return -1;
     if (!dark)
         fr.most_glow = fr.params->intensity * r.max_bright * (plan_weight(&fr) * (1 + 0x1p-10) + plan_bound(&fr));
@@ -430,6 +464,7 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     log_profile(b);
     if (!dark) {
         describe_plan(b, fr.params, &r);
+        snprintf(r.storage, sizeof(r.storage), "%s", fr.half ? "half" : "float");
         r.error_bound = plan_bound(&fr) + plan_weight(&fr) * bright_rounding(&fr, &r);
         r.predicted_ms = cost_predict(b, b->plan, &fr.target->geometry);
         account(&fr, &r);
@@ -442,7 +477,8 @@ int bloom_plan(struct bloom *b, const struct bloom_geometry *geometry, const str
                struct bloom_reply *reply, struct fault *f)
 {
     const struct params *p = request->params;
-    struct bloom_reply r = { 0 };
+    // What exposure=auto meters is not known without pixels.
+    struct bloom_reply r = { .exposure = p->exposure };
     if (p->look != LOOK_NONE) {
         look_print(p, geometry->width, geometry->height, r.plan, sizeof(r.plan));
         *reply = r;
@@ -534,7 +570,7 @@ static unsigned plain_variants(const char *name)
 {
     static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram" };
     for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
-        if (starts(name, rare[k]))
+        if (starts(name, rare[k]) || strstr(name, "_s16"))
             return 0;
     return starts(name, "bright") ? BRIGHT_SMOOTHSTEP + 1 : 1;
 }

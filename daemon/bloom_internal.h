@@ -54,6 +54,7 @@ struct targets_shape {
     unsigned octaves;   /* levels 1 .. octaves exist */
     bool full_size;     /* E is kept at full size */
     unsigned finest;    /* finest level with a Gaussian */
+    bool half;          /* levels are stored as half, else float32 */
 };
 
 /* Everything between the input and the output planes: shared by all frames, one at a time. */
@@ -138,7 +139,8 @@ struct ledger_sums {
     double inside, outside; /* of it, and outside the data window */
     double total[LEDGER_TOTALS];
 };
-void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out);
+/* scale: what the stored numbers were multiplied by. */
+void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, double scale, struct ledger_sums *out);
 
 /* ---- the engine ------------------------------------------------------------------------------------ */
 
@@ -219,6 +221,8 @@ struct frame {
     bool rich;                   /* the bright pass is extract.frag */
     struct ledger_sums sums;
     double most_glow;            /* an upper bound of intensity * B */
+    bool half;                   /* levels are stored as half, */
+    double scale;                /* all their numbers times this power of 2; else 1 */
     const struct lit *lit;       /* where E may be above 0; NULL: anywhere */
     struct fault *f;
 };
@@ -254,6 +258,8 @@ int record_bright(struct frame *fr);
 int record_totals(struct frame *fr);
 /* Only the Gaussian of this index, -1: all. *r: any is false when there is none. */
 int record_spread(struct frame *fr, int only, struct round *r);
+/* Does the plain composite make this picture, when there is glow? */
+bool is_plain_picture(const struct frame *fr, const struct view_spec *view);
 /* One output: what it shows of the sum (NULL: no glow). */
 int record_output(struct frame *fr, unsigned output, const struct view_spec *view, struct vk_image *sum);
 int record_end(struct frame *fr);

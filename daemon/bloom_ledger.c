@@ -67,6 +67,8 @@ fail:
     return NULL;
 }
 
+static size_t texel_bytes(const struct targets *t) { return t->shape.half ? 8 : 16; }
+
 static void add_region(struct ledger *l, const struct targets *t, unsigned level, uint32_t column0,
                        uint32_t columns, uint32_t group0, uint32_t groups)
 {
@@ -74,7 +76,7 @@ static void add_region(struct ledger *l, const struct targets *t, unsigned level
         return;
     struct ledger_region *r = &l->region[l->count++];
     *r = (struct ledger_region){ level, column0, columns, group0, groups, l->bytes };
-    l->bytes += (VkDeviceSize)columns * groups * 16 * LEVEL_PHASES * t->shape.channels;
+    l->bytes += (VkDeviceSize)columns * groups * texel_bytes(t) * LEVEL_PHASES * t->shape.channels;
 }
 
 // Texels from the edge on within which some weight of an axis is below 1; the same on both sides.
@@ -146,7 +148,7 @@ static void record_region(struct vk_commands *c, struct ledger *l, struct target
         if (!count)
             continue;
         const VkBufferImageCopy copy = {
-            .bufferOffset = r->offset + (VkDeviceSize)ch * r->columns * r->groups * 16 * LEVEL_PHASES,
+            .bufferOffset = r->offset + (VkDeviceSize)ch * r->columns * r->groups * texel_bytes(t) * LEVEL_PHASES,
             .bufferRowLength = r->columns,
             .bufferImageHeight = r->groups * rows,
             .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, layered ? ch * 2 : 0, layers },
@@ -183,21 +185,27 @@ static double region_sum(const struct ledger *l, const struct ledger_region *r, 
     const bool layered = r->level == 0;
     const uint32_t per_group = layered ? 2 : LEVEL_PHASES;
     for (unsigned ch = 0; ch < t->shape.channels; ch++) {
-        const float *base = (const float *)(const void *)(l->buffer.memory.map + r->offset) +
-                            (size_t)ch * r->columns * r->groups * 4 * LEVEL_PHASES;
+        const size_t row_bytes = r->columns * texel_bytes(t);
+        const uint8_t *base = l->buffer.memory.map + r->offset + ch * row_bytes * r->groups * LEVEL_PHASES;
         double of_channel = 0;
         for (uint32_t row = 0; weight[ch] != 0 && row < r->groups * 4; row++) {
             const uint32_t y = r->group0 * 4 + row;
             if (layered && y / 2 >= t->layered_groups)
                 continue;
             const uint32_t phase = row % per_group, group = row / per_group;
-            const float *e = base + ((size_t)phase * (r->groups * 4 / per_group) + group) * r->columns * 4;
+            const uint8_t *cells = base + ((size_t)phase * (r->groups * 4 / per_group) + group) * row_bytes;
             const double wy = vy ? vy[y] : 0;
             double sum = 0;
-            for (uint32_t i = 0; i < r->columns * 4; i++)
-                {
-                const double in = vx ? wy * vx[r->column0 * 4 + i] : 1;
-                sum += e[i] * (outside ? 1 - in : in);
+            for (uint32_t x = 0; x < r->columns; x++) {
+                float e[4];
+                if (t->shape.half)
+                    half_to_float(e, (const uint16_t *)(const void *)(cells + 8 * x), 4);
+                else
+                    memcpy(e, cells + 16 * x, 16);
+                for (unsigned i = 0; i < 4; i++) {
+                    const double in = vx ? wy * vx[(r->column0 + x) * 4 + i] : 1;
+                    sum += e[i] * (outside ? 1 - in : in);
+                }
             }
             of_channel += sum;
         }
@@ -207,7 +215,8 @@ static double region_sum(const struct ledger *l, const struct ledger_region *r, 
     return ldexp(total, 2 * (int)r->level);
 }
 
-void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, struct ledger_sums *out)
+void ledger_sum(const struct ledger *l, const struct plan *p, const struct targets *t, double scale,
+                struct ledger_sums *out)
 {
     static const double all[3] = { 1, 1, 1 };
     const struct ledger_region *top = &l->region[l->total_region];
@@ -227,4 +236,7 @@ void ledger_sum(const struct ledger *l, const struct plan *p, const struct targe
     }
     if (!l->whole)
         out->inside = out->spread - out->outside;
+    double *all_sums[] = { &out->bright, &out->spread, &out->inside, &out->outside };
+    for (unsigned i = 0; i < sizeof(all_sums) / sizeof(all_sums[0]); i++)
+        *all_sums[i] /= scale;
 }

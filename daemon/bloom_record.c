@@ -143,6 +143,7 @@ static void planes_of(const struct slot_target *t, struct vk_draw *d)
         d->in[c] = (struct vk_image *)&t->in[c < t->geometry.channels ? c : 0];
 }
 
+static const char *stored(const struct frame *fr) { return fr->half ? "_s16" : ""; }
 static const char *type_of(const struct slot_target *t) { return t->geometry.type == PIXEL_TYPE_HALF ? "_half" : ""; }
 
 // Step 4, and with an order the first halving across.
@@ -153,11 +154,13 @@ static int record_plain(struct frame *fr, unsigned order)
     struct vk_draw d = { .dst = &t->layered };
     const struct frame_scan *s = fr->scan;
     const int32_t features = p->bright | (s->nan || s->positive_inf || s->negative_inf ? 0 : 8) | (s->negative ? 0 : 16);
-    d.pipeline = pipeline_get(fr->b, fr->f, features, "bright_o%u_c%u%s", order, t->shape.channels, type_of(fr->source));
+    d.pipeline = pipeline_get(fr->b, fr->f, features, "bright_o%u_c%u%s%s", order, t->shape.channels,
+                              type_of(fr->source), stored(fr));
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
     set_curve(fr, u);
+    u->weight[3] = (float)fr->scale;
     planes_of(fr->source, &d);
     d.area = area_of(t->layered.width, t->layered.height);
     struct rects rects;
@@ -205,7 +208,7 @@ static int record_down(struct frame *fr, unsigned octave, unsigned order)
     struct targets *t = &fr->b->targets;
     const char *kind = octave > 0 ? "" : t->shape.full_size ? "layered_" : "vertical_";
     struct vk_draw d = { .src = octave ? &t->e[octave] : &t->layered, .dst = &t->e[octave + 1] };
-    d.pipeline = pipeline_get(fr->b, fr->f, 0, "down_%so%u", kind, order);
+    d.pipeline = pipeline_get(fr->b, fr->f, 0, "down_%so%u%s", kind, order, stored(fr));
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
@@ -278,9 +281,10 @@ static int record_gaussian(struct frame *fr, const struct plan_gaussian *k, stru
     struct targets *t = &fr->b->targets;
     const struct level *v = &t->level[k->level];
     struct vk_draw h = { .src = k->level ? &t->e[k->level] : &t->layered, .dst = r->rows };
-    h.pipeline = pipeline_get(fr->b, fr->f, 0, "blur_h_%sr%u", k->level ? "" : "layered_", reach_of(&k->x));
+    h.pipeline = pipeline_get(fr->b, fr->f, 0, "blur_h_%sr%u%s", k->level ? "" : "layered_", reach_of(&k->x), stored(fr));
     struct vk_draw w = { .src = r->rows, .add = r->any ? r->sum : NULL, .dst = r->next };
-    w.pipeline = h.pipeline ? pipeline_get(fr->b, fr->f, 0, "blur_v_%sr%u", r->any ? "add_" : "", reach_of(&k->y))
+    w.pipeline = h.pipeline ? pipeline_get(fr->b, fr->f, 0, "blur_v_%sr%u%s", r->any ? "add_" : "", reach_of(&k->y),
+                                          stored(fr))
                             : NULL;
     if (!w.pipeline)
         return -1;
@@ -316,7 +320,7 @@ static int record_up(struct frame *fr, unsigned octave, struct round *r)
 {
     struct targets *t = &fr->b->targets;
     struct vk_draw d = { .add = r->sum, .dst = r->next };
-    d.pipeline = pipeline_get(fr->b, fr->f, 0, "up_o%u", fr->b->plan->order[octave]);
+    d.pipeline = pipeline_get(fr->b, fr->f, 0, "up_o%u%s", fr->b->plan->order[octave], stored(fr));
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
@@ -372,10 +376,10 @@ static int32_t develop_features(const struct frame *fr, const struct view_spec *
 }
 
 // Of a final picture, whether the plain composite makes it.
-static bool is_plain(const struct frame *fr, const struct view_spec *view, const struct vk_image *sum)
+bool is_plain_picture(const struct frame *fr, const struct view_spec *view)
 {
     const struct params *p = fr->params;
-    return view->view == VIEW_FINAL && sum && !displays(p) && p->composite != COMPOSITE_MIX && !fr->matte && !has_dirt(fr);
+    return view->view == VIEW_FINAL && !displays(p) && p->composite != COMPOSITE_MIX && !fr->matte && !has_dirt(fr);
 }
 
 static void set_dirt(const struct frame *fr, struct pass_uniforms *u)
@@ -407,11 +411,11 @@ int record_output(struct frame *fr, unsigned output, const struct view_spec *vie
     struct bloom *b = fr->b;
     struct slot_target *t = fr->target;
     struct targets *pyramid = &b->targets;
-    const bool plain = is_plain(fr, view, sum);
+    const bool plain = sum && is_plain_picture(fr, view);
     const unsigned order = sum && pyramid->shape.finest ? b->plan->order[0] : 0;
     struct vk_draw d = { .add = sum ? sum : &pyramid->pool[0] };
     if (plain)
-        d.pipeline = pipeline_get(b, fr->f, known(fr), "composite_o%u%s", order, type_of(t));
+        d.pipeline = pipeline_get(b, fr->f, known(fr), "composite_o%u%s%s", order, type_of(t), stored(fr));
     else
         d.pipeline = pipeline_get(b, fr->f, develop_features(fr, view, sum != NULL), "develop_o%u_c%u%s", order,
                                   t->geometry.channels, type_of(t));
@@ -419,7 +423,7 @@ int record_output(struct frame *fr, unsigned output, const struct view_spec *vie
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
     u->frame[2] = (int32_t)t->groups;
-    u->weight[3] = (float)fr->params->intensity;
+    u->weight[3] = (float)(fr->params->intensity / fr->scale);
     added(u, &pyramid->level[pyramid->shape.finest]);
     planes_of(t, &d);
     d.bands = t->geometry.channels;

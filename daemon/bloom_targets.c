@@ -86,7 +86,7 @@ bool targets_same(const struct targets *t, const struct targets_shape *s)
 {
     const struct targets_shape *h = &t->shape;
     return t->made && h->width == s->width && h->height == s->height && h->channels == s->channels &&
-           h->octaves == s->octaves && h->full_size == s->full_size && h->finest == s->finest;
+           h->octaves == s->octaves && h->full_size == s->full_size && h->finest == s->finest && h->half == s->half;
 }
 
 int targets_prepare(struct vk *v, struct targets *t, const struct targets_shape *shape, struct fault *f)
@@ -96,7 +96,7 @@ int targets_prepare(struct vk *v, struct targets *t, const struct targets_shape 
     targets_destroy(v, t);
     t->shape = *shape;
     set_levels(t);
-    const VkFormat format = VK_FORMAT_R32G32B32A32_SFLOAT;
+    const VkFormat format = shape->half ? VK_FORMAT_R16G16B16A16_SFLOAT : VK_FORMAT_R32G32B32A32_SFLOAT;
     struct placing p = { .types = ~0u };
     const struct level *wide = &t->level[shape->full_size ? 0 : 1];
     if (place(v, &p, &t->layered, format, wide->texels, t->layered_groups, 2 * shape->channels, false, f) < 0)

@@ -172,6 +172,26 @@ static void count_cost(struct plan *p)
     p->rounding_bound = (roundings + widest + p->count) * 0x1p-24;
 }
 
+// Half storage: each number that a pass stores is off by at most 2^-11 of itself, and its readers inherit that. What
+// passes by on its way from E to the picture: the bright pass, each halving, the kernel's two axes, and then at
+// each finer level the doubling and every Gaussian that is added there. (Numbers below the normal halfs add less than 2^-37 of max E.)
+static void count_half(struct plan *p)
+{
+    double worst[3] = { 0 };
+    p->half_peak = 0;
+    for (unsigned g = 0; g < p->count; g++) {
+        const struct plan_gaussian *k = &p->gaussian[g];
+        unsigned stores = 1 + k->level + 2 + k->level;
+        for (unsigned h = 0; h < p->count; h++)
+            stores += h != g && p->gaussian[h].level <= k->level;
+        const double off = pow(1 + 0x1p-11, stores) - 1 + stores * 0x1p-37;
+        p->half_peak = fmax(p->half_peak, off);
+        for (unsigned c = 0; c < 3; c++)
+            worst[c] += k->weight[c] * off;
+    }
+    p->half_bound = fmax(worst[0], fmax(worst[1], worst[2]));
+}
+
 // near for the narrowest, far for the widest, between them by the logarithm of sigma.
 static double band_gain(const struct params *params, double sigma, double least, double most)
 {
@@ -240,9 +260,18 @@ int plan_make(struct plan *p, const struct params *params, double tolerance, con
     }
     qsort(p->gaussian, p->count, sizeof(p->gaussian[0]), by_level);
     count_cost(p);
+    count_half(p);
     return 0;
 fail:
     return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for the error of a plan");
+}
+
+bool plan_holds_half(const struct plan *p, double tolerance)
+{
+    for (unsigned g = 0; g < p->count; g++)
+        if (p->gaussian[g].peak + p->half_peak > tolerance)
+            return false;
+    return p->filter_bound + p->weight_sum * p->rounding_bound + p->half_bound <= tolerance;
 }
 
 uint32_t plan_reach(const struct plan *p)

@@ -32,6 +32,9 @@ struct plan {
     double weight_sum;                    /* of the channel that has most */
     double filter_bound;                  /* sum of weight * l1, of the channel where it is largest */
     double rounding_bound;                /* float32 arithmetic of these passes, of weight_sum * max E */
+    double half_bound;                    /* what storing every level as half would add to filter_bound, and, of a lone
+                                             point, to its peak's error relative to the weight */
+    double half_peak;
     double cost;                          /* multiply-adds per pixel and channel */
 };
 
@@ -48,6 +51,8 @@ struct plan_facts {
  * R5 and refinement reach: read filter_bound. */
 int plan_make(struct plan *p, const struct params *params, double tolerance, const struct plan_facts *facts,
               struct fault *f);
+/* Does it hold the tolerance with its levels stored as half, too? */
+bool plan_holds_half(const struct plan *p, double tolerance);
 /* Pixels beyond which no Gaussian of the plan reaches. */
 uint32_t plan_reach(const struct plan *p);
 /* One line for people: "R3, 5 levels b6 b6 b6 b6 b6, sigma 4@1(15) 8@2(15) ..." */

@@ -49,8 +49,8 @@ void main()
         }
     }
 #endif
-    out0 = sum[0];
-    out1 = sum[1];
-    out2 = sum[2];
-    out3 = sum[3];
+    out0 = stored(sum[0]);
+    out1 = stored(sum[1]);
+    out2 = stored(sum[2]);
+    out3 = stored(sum[3]);
 }

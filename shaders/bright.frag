@@ -120,17 +120,20 @@ void main()
 #else
             sum = e[i];
 #endif
+#ifdef STORE_HALF
+            sum *= pass.weight.w;
+#endif
             result[row][0][i] = sum.r;
             result[row][1][i] = sum.g;
             result[row][2][i] = sum.b;
         }
     }
-    out_r0 = result[0][0];
-    out_r1 = result[1][0];
+    out_r0 = stored(result[0][0]);
+    out_r1 = stored(result[1][0]);
 #if CHANNELS == 3
-    out_g0 = result[0][1];
-    out_g1 = result[1][1];
-    out_b0 = result[0][2];
-    out_b1 = result[1][2];
+    out_g0 = stored(result[0][1]);
+    out_g1 = stored(result[1][1]);
+    out_b0 = stored(result[0][2]);
+    out_b1 = stored(result[1][2]);
 #endif
 }

@@ -30,8 +30,24 @@ layout(std140, set = 0, binding = 3) uniform Pass {
 
 float tap(int k) { return pass.tap[k >> 2][k & 3]; }
 
+// How levels are stored: float32, or -D STORE_HALF as half, all numbers scaled by a power of 2 so that none is beyond it. The
+// attachment only cuts digits off, so rounding to nearest even is done before: Veltkamp's splitting at 11 bits.
+#ifdef STORE_HALF
+#define STORED rgba16f
+vec4 stored(vec4 v)
+{
+    precise vec4 t = v * 8193.0;
+    precise vec4 low = t - v;
+    precise vec4 high = t - low;
+    return high;
+}
+#else
+#define STORED rgba32f
+vec4 stored(vec4 v) { return v; }
+#endif
+
 #ifdef READS_SRC
-layout(rgba32f, set = 0, binding = 0) uniform readonly image2DArray src;
+layout(STORED, set = 0, binding = 0) uniform readonly image2DArray src;
 
 #ifdef LAYERED
 // group and phase count 4-row groups; here a group has two.
@@ -50,7 +66,7 @@ vec4 src_at(int column, int block, int group, int phase)
 #endif
 
 #ifdef READS_ADD
-layout(rgba32f, set = 0, binding = 1) uniform readonly image2DArray add;
+layout(STORED, set = 0, binding = 1) uniform readonly image2DArray add;
 
 vec4 add_at(int column, int block, int row)
 {

@@ -19,34 +19,43 @@ one() { # name file flags...
 "
 }
 one fullscreen fullscreen.vert
-for order in 0 4 6 8; do
-    for channels in 1 3; do
-        one bright_o${order}_c$channels bright.frag -DORDER=$order -DCHANNELS=$channels
-        one bright_o${order}_c${channels}_half bright.frag -DORDER=$order -DCHANNELS=$channels -DHALF
+# Names that end in _s16 read and write levels of half.
+passes() { # suffix flags...
+    suffix=$1
+    shift
+    for order in 0 4 6 8; do
+        for channels in 1 3; do
+            one bright_o${order}_c$channels$suffix bright.frag -DORDER=$order -DCHANNELS=$channels "$@"
+            one bright_o${order}_c${channels}_half$suffix bright.frag -DORDER=$order -DCHANNELS=$channels -DHALF "$@"
+        done
+        one composite_o$order$suffix composite.frag -DORDER=$order "$@"
+        one composite_o${order}_half$suffix composite.frag -DORDER=$order -DHALF "$@"
+        [ $order = 0 ] && continue
+        one down_o$order$suffix down.frag -DORDER=$order "$@"
+        one down_layered_o$order$suffix down.frag -DORDER=$order -DLAYERED "$@"
+        one down_vertical_o$order$suffix down.frag -DORDER=$order -DLAYERED -DVERTICAL "$@"
+        one up_o$order$suffix up.frag -DORDER=$order "$@"
     done
+    for reach in 1 2 3 4 6 10; do
+        one blur_h_r$reach$suffix blur.frag -DREACH=$reach "$@"
+        one blur_h_layered_r$reach$suffix blur.frag -DREACH=$reach -DLAYERED "$@"
+        one blur_v_r$reach$suffix blur.frag -DREACH=$reach -DVERTICAL "$@"
+        one blur_v_add_r$reach$suffix blur.frag -DREACH=$reach -DVERTICAL -DADD_SAME "$@"
+    done
+}
+passes ""
+passes _s16 -DSTORE_HALF
+for order in 0 4 6 8; do
     for channels in 1 3; do
         one develop_o${order}_c$channels develop.frag -DORDER=$order -DCHANNELS=$channels
         one develop_o${order}_c${channels}_half develop.frag -DORDER=$order -DCHANNELS=$channels -DHALF
     done
-    one composite_o$order composite.frag -DORDER=$order
-    one composite_o${order}_half composite.frag -DORDER=$order -DHALF
-    [ $order = 0 ] && continue
-    one down_o$order down.frag -DORDER=$order
-    one down_layered_o$order down.frag -DORDER=$order -DLAYERED
-    one down_vertical_o$order down.frag -DORDER=$order -DLAYERED -DVERTICAL
-    one up_o$order up.frag -DORDER=$order
 done
 for channels in 1 3; do
     one extract_c$channels extract.frag -DCHANNELS=$channels
     one extract_c${channels}_half extract.frag -DCHANNELS=$channels -DHALF
     one histogram_c$channels histogram.comp -DCHANNELS=$channels
     one histogram_c${channels}_half histogram.comp -DCHANNELS=$channels -DHALF
-done
-for reach in 1 2 3 4 6 10; do
-    one blur_h_r$reach blur.frag -DREACH=$reach
-    one blur_h_layered_r$reach blur.frag -DREACH=$reach -DLAYERED
-    one blur_v_r$reach blur.frag -DREACH=$reach -DVERTICAL
-    one blur_v_add_r$reach blur.frag -DREACH=$reach -DVERTICAL -DADD_SAME
 done
 finish() { # header table: what `one` has gathered
     {

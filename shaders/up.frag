@@ -35,8 +35,8 @@ void main()
         [[unroll]] for (int p = 0; p < 4; p++)
             sum[p] += up_weight(p & 1, r + LOW - (p >> 1)) * line;
     }
-    out0 = sum[0];
-    out1 = sum[1];
-    out2 = sum[2];
-    out3 = sum[3];
+    out0 = stored(sum[0]);
+    out1 = stored(sum[1]);
+    out2 = stored(sum[2]);
+    out3 = stored(sum[3]);
 }

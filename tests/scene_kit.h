@@ -25,7 +25,7 @@
 #define ENGINE_HAS_GROW 1
 #define ENGINE_HAS_DISPLAY 1
 #define ENGINE_HAS_VIEWS 1 /* view, layers */
-#define ENGINE_HAS_STORAGE 0
+#define ENGINE_HAS_STORAGE 1
 
 struct scene {
     unsigned width, height, channels;

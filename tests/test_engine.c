@@ -297,6 +297,29 @@ static void test_same_bytes(void **state)
     scene_finish(&o);
 }
 
+// Levels stored as half: within their own, computed, bound; refused where that is above the tolerance.
+static void test_half_storage(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s, 181, 133, 3, PIXEL_TYPE_FLOAT);
+    scene_fill(&s);
+    struct params p = scene_params("gaussians:sigma=4/8/16/32,weight=.2", BRIGHT_KNEE, 1e-2);
+    assert_int_equal(params_set_text(&p, "storage", "half", NULL), 0);
+    scene_run(&s, &p, engine, 0);
+    assert_string_equal(s.reply.storage, "half");
+    assert_true(s.reply.error_bound > 1e-3 && s.reply.error_bound <= 1e-2);
+    scene_check(&s, &p, "levels of half");
+    p.tolerance = 1e-3;
+    struct bloom_request r = { .params = &p, .scan = &s.scan, .source = -1, .matte = -1, .depth = -1, .pixel_aspect = 1 };
+    memcpy(r.luma, s.luma, sizeof(r.luma));
+    struct fault f = { 0 };
+    assert_int_equal(bloom_run(engine, bloom_slot(engine, 0), 0, &r, &s.reply, &f), -1);
+    assert_int_equal(f.code, FAULT_PARAM_CONFLICT);
+    assert_string_equal(f.field, "params.storage");
+    scene_finish(&s);
+}
+
 // What is not drawn, for no tile there has a highlight, changes no bit.
 static void test_dark_tiles(void **state)
 {
@@ -428,6 +451,7 @@ int main(void)
         cmocka_unit_test(test_extremes),
         cmocka_unit_test(test_all_halfs_keep_their_bits),
         cmocka_unit_test(test_same_bytes),
+        cmocka_unit_test(test_half_storage),
         cmocka_unit_test(test_dark_tiles),
         cmocka_unit_test(test_mirror),
         cmocka_unit_test(test_all_pipelines_draw),

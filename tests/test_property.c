@@ -201,8 +201,14 @@ static void random_output(struct params *p)
         p->encoding = (int)below(3);
         p->saturation = chance(.5) ? 1 : between(0, 3);
     }
-    if (ENGINE_HAS_STORAGE)
-        p->storage = (int)below(3);
+    // Half is refused where its bound is above the tolerance.
+    if (ENGINE_HAS_STORAGE && p->tolerance == 1e-1 && p->psf_spec.count <= 3 && chance(.7)) {
+        p->storage = STORAGE_HALF;
+        for (unsigned i = 0; i < p->psf_spec.count; i++)
+            p->psf_spec.gaussian[i].weight = fmin(p->psf_spec.gaussian[i].weight, .5);
+    } else {
+        p->storage = (int)below(2);
+    }
     if (ENGINE_HAS_BLOOM_OFF)
         p->bloom = chance(.05) ? SWITCH_OFF : SWITCH_ON;
     if (ENGINE_HAS_VIEWS && chance(.2))
