@@ -4,7 +4,6 @@
 
 #include <float.h>
 #include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,150 +11,11 @@
 
 #include "bloom_internal.h"
 #include "look.h"
-#include "spirv.h"
 
 // Would auto take half where it may? Measured on lavapipe: half the memory and the same time, so float32, which is the more
 // accurate, stays. A constant, so that a request gives the same bytes on every day.
 enum { HALF_PAYS = 0 };
 enum { LEDGER_CELLS = 256 }; // the coarsest level is at most this wide and high, for its sum is read back
-
-/* ---- pipelines ----------------------------------------------------------------------------------- */
-
-static const struct spirv_entry *spirv_find(const char *name)
-{
-    for (unsigned i = 0; i < sizeof(spirv_table) / sizeof(spirv_table[0]); i++)
-        if (!strcmp(spirv_table[i].name, name))
-            return &spirv_table[i];
-    return NULL;
-}
-
-static bool starts(const char *name, const char *with) { return !strncmp(name, with, strlen(with)); }
-
-const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t spec, const char *format, ...)
-{
-    char name[40];
-    va_list args;
-    va_start(args, format);
-    vsnprintf(name, sizeof(name), format, args);
-    va_end(args);
-    for (unsigned i = 0; i < b->pipelines; i++)
-        if (b->pipeline[i].spec == spec && !strcmp(b->pipeline[i].name, name))
-            return &b->pipeline[i].pipeline;
-    const struct spirv_entry *s = spirv_find(name);
-    assert(s && b->pipelines < PIPELINES_MAX);
-    struct named_pipeline *p = &b->pipeline[b->pipelines];
-    const bool picture = starts(name, "composite") || starts(name, "develop");
-    const bool layered = starts(name, "bright") || starts(name, "extract");
-    const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2) : LEVEL_PHASES;
-    const int r = starts(name, "histogram")
-                      ? vk_compute_create(&b->vk, &p->pipeline, s->words, s->bytes, f)
-                      : vk_pipeline_create(&b->vk, &p->pipeline, s->words, s->bytes,
-                                           picture          ? VK_FORMAT_R32G32B32A32_UINT
-                                           : strstr(name, "_s16") ? VK_FORMAT_R16G16B16A16_SFLOAT
-                                                                  : VK_FORMAT_R32G32B32A32_SFLOAT,
-                                           attachments, &spec, layered || picture ? 1 : 0, f);
-    if (r < 0)
-        return NULL;
-    snprintf(p->name, sizeof(p->name), "%s", name);
-    p->spec = spec;
-    b->pipelines++;
-    return &p->pipeline;
-}
-
-/* ---- plans --------------------------------------------------------------------------------------- */
-
-static bool same_facts(const struct plan_facts *a, const struct plan_facts *b)
-{
-    return a->width == b->width && a->height == b->height && a->display_width == b->display_width &&
-           a->channels == b->channels && a->pixel_aspect == b->pixel_aspect && a->only == b->only;
-}
-
-// Member by member: a struct's padding is nobody's.
-static bool same_spec(const struct psf_spec *a, const struct psf_spec *b)
-{
-    bool same = a->kind == b->kind && a->count == b->count;
-    for (unsigned i = 0; same && i < a->count; i++) {
-        const struct psf_gaussian *g = &a->gaussian[i], *h = &b->gaussian[i];
-        same = g->sigma.value == h->sigma.value && g->sigma.unit == h->sigma.unit && g->weight == h->weight &&
-               g->tint[0] == h->tint[0] && g->tint[1] == h->tint[1] && g->tint[2] == h->tint[2];
-    }
-    return same;
-}
-
-static bool answers(const struct planned *e, const struct params *p, const struct plan_facts *facts)
-{
-    return e->asked && same_spec(&e->spec, &p->psf_spec) && e->near_gain == p->near_gain && e->far_gain == p->far_gain &&
-           e->sensor_mm == p->sensor_mm && e->tolerance == p->tolerance && e->budget_ms == p->budget_ms &&
-           same_facts(&e->facts, facts);
-}
-
-// The best error whose predicted time is within the budget, and within the tolerance when that was asked for too.
-static int plan_for_budget(struct bloom *b, struct plan *out, const struct params *p, const struct plan_facts *facts,
-                           const struct bloom_geometry *g, struct fault *f)
-{
-    static const double tolerances[] = { 1e-5, 1e-4, 1e-3, 1e-2, 1e-1 };
-    const double most = params_has(p, "tolerance") ? p->tolerance : 1e-1;
-    double cheapest = INFINITY;
-    for (unsigned i = 0; i < sizeof(tolerances) / sizeof(tolerances[0]); i++) {
-        const double t = fmin(tolerances[i], most);
-        if (plan_make(out, p, t, facts, f) < 0)
-            return -1;
-        const double ms = cost_predict(b, out, g);
-        if (ms <= p->budget_ms)
-            return 0;
-        cheapest = fmin(cheapest, ms);
-        if (t == most)
-            break;
-    }
-    return fault_set(f, FAULT_PARAM_CONFLICT, "params.budget_ms",
-                     "budget_ms = %g: the cheapest plan for %u x %u at tolerance %g takes about %.3g ms on this device",
-                     p->budget_ms, g->width, g->height, most, cheapest);
-}
-
-// b->plan: from the cache, or made in the place of the one that nobody has asked for longest.
-static int find_plan(struct bloom *b, const struct bloom_request *r, const struct bloom_geometry *g, struct fault *f)
-{
-    const struct params *p = r->params;
-    const struct plan_facts facts = {
-        .width = g->width,
-        .height = g->height,
-        .display_width = r->display_width ? r->display_width : g->width,
-        .channels = g->channels,
-        .pixel_aspect = (double)r->pixel_aspect,
-        .only = p->view_spec.view == VIEW_LEVEL && !p->layer_count ? (int)p->view_spec.level : -1,
-    };
-    struct planned *oldest = &b->planned[0];
-    b->plans_asked++;
-    b->plan = NULL;
-    for (unsigned i = 0; i < PLANS_MAX; i++) {
-        struct planned *e = &b->planned[i];
-        if (answers(e, p, &facts)) {
-            e->asked = b->plans_asked;
-            b->plan = &e->plan;
-            return 0;
-        }
-        if (e->asked < oldest->asked)
-            oldest = e;
-    }
-    if (b->prepared == &oldest->plan)
-        b->prepared = NULL;
-    oldest->asked = 0;
-    const int made = p->psf_spec.kind != PSF_GAUSSIANS ? (memset(&oldest->plan, 0, sizeof(oldest->plan)), 0)
-                     : p->budget_ms > 0                ? plan_for_budget(b, &oldest->plan, p, &facts, g, f)
-                                                       : plan_make(&oldest->plan, p, p->tolerance, &facts, f);
-    if (made < 0)
-        return -1;
-    oldest->asked = b->plans_asked;
-    oldest->spec = p->psf_spec;
-    oldest->near_gain = p->near_gain;
-    oldest->far_gain = p->far_gain;
-    oldest->sensor_mm = p->sensor_mm;
-    oldest->tolerance = p->tolerance;
-    oldest->budget_ms = p->budget_ms;
-    oldest->facts = facts;
-    b->plan = &oldest->plan;
-    return 0;
-}
 
 // Level 1 is always there, so that the full-size image never has to be summed; more until the sum is small.
 static unsigned octaves_for(const struct plan *p, uint32_t width, uint32_t height)
@@ -355,19 +215,6 @@ static void account(struct frame *fr, struct bloom_reply *r)
         r->energy_suppressed = fmax(0, sums.total[TOTAL_RAW] - after);
 }
 
-static void describe_plan(struct bloom *b, const struct params *p, struct bloom_reply *r)
-{
-    if (p->psf_spec.kind != PSF_GAUSSIANS) {
-        snprintf(r->plan, sizeof(r->plan), "by FFT in float64 on the host: %.400s", p->psf);
-        snprintf(r->rule, sizeof(r->rule), "fft");
-    } else {
-        plan_print(b->plan, r->plan, sizeof(r->plan));
-        snprintf(r->rule, sizeof(r->rule), "%s", b->plan->rule);
-    }
-    snprintf(r->storage, sizeof(r->storage), "float");
-    r->levels = b->plan->levels;
-}
-
 // The spread's own error, of max E.
 static double plan_bound(const struct frame *fr)
 {
@@ -437,7 +284,7 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
         *reply = r;
         return 0;
     }
-    if (find_plan(b, &request, &fr.target->geometry, f) < 0)
+    if (plan_find(b, &request, &fr.target->geometry, f) < 0)
         return -1;
     set_features(&fr);
     const bool no_plan = fr.fft ? fr.params->psf_spec.weight == 0 : !b->plan->count;
@@ -463,7 +310,7 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     r.device_ms = now_ms() - start;
     log_profile(b);
     if (!dark) {
-        describe_plan(b, fr.params, &r);
+        plan_describe(b, fr.params, &r);
         snprintf(r.storage, sizeof(r.storage), "%s", fr.half ? "half" : "float");
         r.error_bound = plan_bound(&fr) + plan_weight(&fr) * bright_rounding(&fr, &r);
         r.predicted_ms = cost_predict(b, b->plan, &fr.target->geometry);
@@ -473,32 +320,13 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     return 0;
 }
 
-int bloom_plan(struct bloom *b, const struct bloom_geometry *geometry, const struct bloom_request *request,
-               struct bloom_reply *reply, struct fault *f)
-{
-    const struct params *p = request->params;
-    // What exposure=auto meters is not known without pixels.
-    struct bloom_reply r = { .exposure = p->exposure };
-    if (p->look != LOOK_NONE) {
-        look_print(p, geometry->width, geometry->height, r.plan, sizeof(r.plan));
-        *reply = r;
-        return 0;
-    }
-    if (find_plan(b, request, geometry, f) < 0)
-        return -1;
-    describe_plan(b, p, &r);
-    r.error_bound = b->plan->filter_bound + b->plan->weight_sum * b->plan->rounding_bound;
-    r.predicted_ms = cost_predict(b, b->plan, geometry);
-    *reply = r;
-    return 0;
-}
-
 /* ---- life ------------------------------------------------------------------------------------------ */
 
 static int open_device(struct bloom *b, const struct bloom_options *o, struct fault *f)
 {
-    const struct spirv_entry *vertex = spirv_find("fullscreen");
-    if (vk_open(&b->vk, o->device, o->validate, o->log, vertex->words, vertex->bytes, f) < 0)
+    size_t vertex_bytes;
+    const uint32_t *vertex = pipeline_vertex(&vertex_bytes);
+    if (vk_open(&b->vk, o->device, o->validate, o->log, vertex, vertex_bytes, f) < 0)
         return -1;
     snprintf(b->info.name, sizeof(b->info.name), "%s", b->vk.properties.deviceName);
     snprintf(b->info.driver, sizeof(b->info.driver), "%s", b->vk.driver);
@@ -564,32 +392,5 @@ void bloom_destroy(struct bloom *b)
 
 const struct bloom_device_info *bloom_device(const struct bloom *b) { return &b->info; }
 unsigned bloom_validation_messages(const struct bloom *b) { return b->vk.messages; }
-// Of a shader's variants, how many plain requests have: a bright pass has one a curve; the others one each, whatever else
-// the scan of a frame may ask for.
-static unsigned plain_variants(const char *name)
-{
-    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram" };
-    for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
-        if (starts(name, rare[k]) || strstr(name, "_s16"))
-            return 0;
-    return starts(name, "bright") ? BRIGHT_SMOOTHSTEP + 1 : 1;
-}
-
-unsigned bloom_pipelines(const struct bloom *b, unsigned *possible)
-{
-    unsigned made = 0;
-    *possible = 0;
-    for (unsigned i = 0; i < sizeof(spirv_table) / sizeof(spirv_table[0]); i++) {
-        const char *name = spirv_table[i].name;
-        const unsigned most = plain_variants(name);
-        unsigned have = 0;
-        for (unsigned k = 0; k < b->pipelines; k++)
-            have += !strcmp(b->pipeline[k].name, name);
-        *possible += most;
-        made += have < most ? have : most;
-    }
-    return made;
-}
-
 void bloom_list_devices(void (*print)(const char *line)) { vk_list(print); }
 struct bloom_slot *bloom_slot(struct bloom *b, unsigned i) { return i < b->slots ? &b->slot[i] : NULL; }

@@ -235,6 +235,11 @@ struct lit {
     double share; /* of all tiles, those inside */
 };
 
+/* ---- bloom_plan.c ---- */
+/* b->plan: from the cache, or made in the place of the one that nobody has asked for longest. */
+int plan_find(struct bloom *b, const struct bloom_request *r, const struct bloom_geometry *g, struct fault *f);
+void plan_describe(struct bloom *b, const struct params *p, struct bloom_reply *r);
+
 /* ---- bloom_bright.c: what glows, without looking at pixels ---- */
 void bright_set(struct frame *fr);
 /* Tiles, tiles_bright and max_bright of the reply. */
@@ -281,6 +286,8 @@ double cost_predict(const struct bloom *b, const struct plan *p, const struct bl
 /* Dirt or another host image into the device's, before what is recorded next. */
 int dirt_upload(struct frame *fr, const struct bloom_image *image);
 
+/* SPIR-V of the full-screen triangle. */
+const uint32_t *pipeline_vertex(size_t *bytes);
 /* Finds or builds the pipeline of a shader variant. NULL and *f on failure. */
 const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t spec, const char *format,
                                        ...) __attribute__((format(printf, 4, 5)));

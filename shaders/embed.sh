@@ -1,7 +1,7 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 # embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h and, for
-# the named looks, OUT_DIR/spirv_look.h: the words of each, and a table of names. A variant's name says its -D flags; daemon/bloom.c and
+# the named looks, OUT_DIR/spirv_look.h: the words of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pipeline.c and
 # daemon/look_targets.c ask by name.
 set -eu
 cd "$(dirname "$0")/.."
