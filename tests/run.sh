@@ -61,7 +61,9 @@ for t in engine look kernel convolve hard hard_slide sched; do
 done
 run asan-property $keep AIRY_SCENES=60 "$A/tests/test_property"
 S=$BUILD/tsan
-for t in conn libairy libairy_request libairy_asset asset exr server server_assets server_life server_frames server_looks; do
+# The driver's compiler holds more locks at once than the deadlock detector can count, once many pipelines have drawn.
+AIRYD=$S/airyd run tsan-server_looks env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0 "$S/tests/test_server_looks"
+for t in conn libairy libairy_request libairy_asset asset exr server server_assets server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" "$S/tests/test_$t"
 done
 run tsan-sched env LD_PRELOAD=libvulkan_lvp.so "$S/tests/test_sched"
