@@ -10,7 +10,7 @@
 
 #include "cmd_run.h"
 
-enum { VALUE_MAX = sizeof(((struct airy_param *)0)->value) };
+enum { VALUE_MAX = sizeof(((struct airy_param *)0)->value), CODE_NO_ASSET = 223 }; /* PROTOCOL.md's: no such image */
 
 /* A value in three pieces: "image:", the file, ",weight=.2". */
 struct named {
@@ -23,6 +23,18 @@ static bool is_file(const char *path)
 {
     struct stat s;
     return *path && stat(path, &s) == 0 && S_ISREG(s.st_mode);
+}
+
+static bool is_digest(const char *text, size_t len)
+{
+    return len == 32 && strspn(text, "0123456789abcdefABCDEF") >= 32;
+}
+
+/* What is no digest is meant as a file, there or not: the daemon knows digests alone. */
+static bool is_meant(const struct named *n)
+{
+    size_t len = strlen(n->path);
+    return len > 0 && !is_digest(n->path, len);
 }
 
 static bool name_take(struct named *n, const char *value, size_t before, size_t len)
@@ -38,12 +50,13 @@ static bool name_read(struct named *n, const struct airy_param *p)
     static const char image[] = "image:";
     size_t before = sizeof(image) - 1;
     if (strcmp(p->name, "dirt") == 0)
-        return name_take(n, p->value, 0, strlen(p->value));
+        return name_take(n, p->value, 0, strlen(p->value)) || is_meant(n);
     if (strcmp(p->name, "psf") != 0 || strncmp(p->value, image, before) != 0)
         return false;
     const char *file = p->value + before;
     /* A name may have a comma; what comes after the first one is more often the psf's own. */
-    return name_take(n, p->value, before, strcspn(file, ",")) || name_take(n, p->value, before, strlen(file));
+    return name_take(n, p->value, before, strcspn(file, ",")) || name_take(n, p->value, before, strlen(file)) ||
+           (name_take(n, p->value, before, strcspn(file, ",")), is_meant(n));
 }
 
 bool assets_named(const struct airy_request *asked)
@@ -68,7 +81,7 @@ static int file_send(struct airy *a, const char *path, struct airy_asset *kept, 
     char why[RUN_WHY_MAX];
     int fd = run_input_open(path, why, sizeof(why));
     if (fd < 0) {
-        *e = (struct airy_error){ .code = -EIO, .symbol = "LOCAL" };
+        *e = (struct airy_error){ .code = CODE_NO_ASSET, .symbol = "NO_ASSET" };
         snprintf(e->text, sizeof(e->text), "%.380s", why);
         return -1;
     }
@@ -87,8 +100,11 @@ int assets_send(struct airy *a, const struct airy_request *asked, struct airy_re
         struct airy_asset kept;
         if (!name_read(&n, p))
             continue;
-        if (file_send(a, n.path, &kept, e) < 0)
+        if (file_send(a, n.path, &kept, e) < 0) {
+            if (e->code > 0) /* not a lost connection's */
+                snprintf(e->field, sizeof(e->field), "params.%.40s", p->name);
             return -1;
+        }
         int len = snprintf(sent->params[i].value, VALUE_MAX, "%.*s%s%s", (int)n.before, p->value, kept.digest,
                            n.rest);
         if (len < 0 || len >= VALUE_MAX) {

@@ -115,7 +115,11 @@ static void help_texts(void)
          "  eye:[degrees=40][,weight=0.1]                          glare of the eye\n"
          "  airy:[f=8][,pitch=5][,wavelength=610/550/465][,weight=0.1]\n"
          "  aperture:[blades=6][,rotation=0][,f=..., as airy]      starburst\n"
-         "  image:DIGEST[,weight=0.1]                              an uploaded kernel\n"
+         "  image:FILE[,weight=0.1]                                a kernel (or the DIGEST of a sent one)\n"
+         "\n"
+         "Views, for --show and --layers: final, source, bright (what glows), bloom (the glow), level:N\n"
+         "(that of Gaussian N, from 0), residual (the scene without what glows). Layers become channels\n"
+         "airy.bright.R and so on. --view is the stereo view.\n"
          "\n"
          "A look brings its own threshold, knee, intensity and emission, and refuses what it does not\n"
          "have. Contradictions are errors that name the parameter.");

@@ -8,11 +8,12 @@
 #include "cmd_bloom.h"
 #include "cmd_report.h"
 
-static int complain(const struct airy_error *e)
+static void complain(const struct airy_error *e)
 {
-    cmd_complain("plan: %s%s%s%s%s%s", e->field, *e->field ? ": " : "", e->text, e->code > 0 ? " [" : "",
-                 e->code > 0 ? e->symbol : "", e->code > 0 ? "]" : "");
-    return -1;
+    if (e->code > 0)
+        cmd_complain("plan: %s%s%s [%s %d]", report_field(e), *e->field ? ": " : "", e->text, e->symbol, e->code);
+    else
+        cmd_complain("plan: %s%s%s", e->field, *e->field ? ": " : "", e->text);
 }
 
 static int ask(struct airy *a, const struct run_options *run, int input_fd, struct airy_result **result,

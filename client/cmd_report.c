@@ -6,6 +6,7 @@
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "cmd_json.h"
 
@@ -228,6 +229,15 @@ void report_json_status(const struct airy_status *s)
 /* ---- for people --------------------------------------------------------------------------------------
  */
 
+/* "-": no glow, and yet not untouched (a matte, a display transform). */
+static bool has_glow(const struct airy_target *t) { return strcmp(t->rule, "-") != 0; }
+
+/* A stated psf's; looks keep none. */
+static bool has_ledger(const struct airy_target *t)
+{
+    return (t->rule[0] == 'R' && t->rule[1] >= '0' && t->rule[1] <= '9') || strcmp(t->rule, "fft") == 0;
+}
+
 static void warn_nonfinite(struct progress *p, const struct report_frame *f, const struct airy_target *t)
 {
     if (t->any_nonfinite)
@@ -262,10 +272,14 @@ static void target_paragraph(struct progress *p, const struct airy_target *t)
     progress_line(p, "    plan     %s%s%s", t->plan, *t->storage ? "; stored as " : "", t->storage);
     if (*t->skipped)
         progress_line(p, "    skipped  %s", t->skipped);
-    progress_line(p, "    error    <= %.2g of the brightest glowing value (%.4g), at every pixel",
-                  t->error_bound, t->max_bright);
-    progress_line(p, "    energy   %.4g in, %.4g bright, %.4g bloomed, %.4g lost at the borders",
-                  t->energy_input, t->energy_bright, t->energy_bloomed, t->energy_lost);
+    if (has_glow(t))
+        progress_line(p, "    error    <= %.2g x intensity x %.4g (the brightest that glows), at every pixel of the glow",
+                      t->error_bound, t->max_bright);
+    if (has_ledger(t))
+        progress_line(p, "    energy   %.4g in, %.4g bright, %.4g bloomed, %.4g lost at the borders",
+                      t->energy_input, t->energy_bright, t->energy_bloomed, t->energy_lost);
+    else
+        progress_line(p, "    energy   %.4g in", t->energy_input);
     if (t->energy_clamped > 0 || t->energy_suppressed > 0)
         progress_line(p, "             %.4g taken by clamp, %.4g by firefly", t->energy_clamped,
                       t->energy_suppressed);
@@ -299,10 +313,15 @@ static void plan_target(const struct airy_target *t)
 {
     printf("  %s  %u x %u at %d,%d\n", t->name, t->width, t->height, t->min_x, t->min_y);
     printf("    plan     %s\n", t->plan);
-    printf("    rule     %s, %u levels\n", t->rule, t->levels);
+    if (*t->rule && has_glow(t))
+        printf("    rule     %s, %u levels\n", t->rule, t->levels);
     if (*t->storage)
         printf("    storage  %s between the passes\n", t->storage);
-    printf("    error    <= %.2g of the brightest glowing value, at every pixel\n", t->error_bound);
+    if (t->error_bound > 0)
+        printf("    error    <= %.2g x intensity x the brightest value that glows, at every pixel of the glow\n",
+               t->error_bound);
+    if (t->exposure != 0)
+        printf("    exposure %.4g stops\n", t->exposure);
     if (t->predicted_ms > 0)
         printf("    time     %.1f ms on the device, as predicted\n", t->predicted_ms);
 }
@@ -318,11 +337,17 @@ void report_plan(const char *input, const struct airy_result *r)
     puts("  skipped    depends on the pixels: airy bloom says it");
 }
 
+const char *report_field(const struct airy_error *e)
+{
+    /* The one parameter whose option has another name. */
+    return strcmp(e->field, "params.view") == 0 ? "--show (params.view)" : e->field;
+}
+
 void report_error(struct progress *p, const struct report_frame *f, const struct airy_error *e)
 {
     /* A local error's text names its path already. */
     if (e->code > 0)
-        progress_error(p, "airy: %s: %s%s%s [%s %d]", f->input, e->field, *e->field ? ": " : "", e->text,
+        progress_error(p, "airy: %s: %s%s%s [%s %d]", f->input, report_field(e), *e->field ? ": " : "", e->text,
                        e->symbol, e->code);
     else
         progress_error(p, "airy: %s", e->text);

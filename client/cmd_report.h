@@ -31,5 +31,7 @@ void report_paragraph(struct progress *p, const struct report_frame *f, const st
 void report_plan(const char *input, const struct airy_result *r);
 void report_json_plan(const char *input, const struct airy_result *r);
 void report_error(struct progress *p, const struct report_frame *f, const struct airy_error *e);
+/* The error's field as people know it. */
+const char *report_field(const struct airy_error *e);
 
 #endif

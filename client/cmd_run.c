@@ -141,7 +141,7 @@ static void connection_lost(struct run *r, const struct airy_error *e)
 /* No daemon to be had: said once, and of each frame in JSON. */
 static void fail_all(struct run *r, const struct airy_error *e)
 {
-    progress_error(&r->progress, "airy: %s", e->text);
+    progress_error(&r->progress, "airy: %s%s%s", report_field(e), *e->field ? ": " : "", e->text);
     for (size_t i = r->first_open; i < r->n; i++)
         if (r->frames[i].state != RUN_ENDED)
             frame_fail_silently(r, &r->frames[i], e, cmd_exit_of(e));

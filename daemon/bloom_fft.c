@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // bloom_fft.c - the spread by FFT on the host (convolve.h): E is read back at full size, its glow is put where the pyramid
 // would have put its full-size sum, and the pictures are made from it as ever.
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -122,13 +123,13 @@ static int convolve(struct frame *fr, const struct block *from, const struct blo
     fr->sums = (struct ledger_sums){ 0 };
     for (unsigned c = 0; c < t->geometry.channels; c++) {
         const double bright = sum_rows(e[c], e_stride, t->geometry.width, t->geometry.height);
-        const double spread = bright * convolver_weight(b->convolver, c);
+        const double spread = bright * fr->params->psf_spec.weight; // all of it: what does not fit the frame is lost
         fr->sums.bright += bright;
         fr->sums.spread += spread;
         fr->sums.inside += sum_rows(out[c] + grow * stride + grow, stride, t->geometry.width,
                                      t->geometry.height);
     }
-    fr->sums.outside = fr->sums.spread - fr->sums.inside;
+    fr->sums.outside = fmax(0, fr->sums.spread - fr->sums.inside); // but for rounding
     return 0;
 }
 

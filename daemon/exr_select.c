@@ -72,8 +72,7 @@ static bool luma_of(const float c[8], float luma[3])
 // False: the chromaticities make no colour space, and Rec.709's are taken.
 static bool part_luma(const struct exr_part *p, float luma[3])
 {
-    static const float rec709[8] = { 0.64f, 0.33f, 0.30f, 0.60f, 0.15f, 0.06f, 0.3127f, 0.3290f };
-    luma_of(rec709, luma);
+    memcpy(luma, frame_rec709, sizeof(frame_rec709));
     return !p->has_chromaticities || luma_of(p->chromaticities, luma);
 }
 

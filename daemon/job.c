@@ -386,6 +386,17 @@ int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault
     return 0;
 }
 
+// Parameters that leave nothing to plan for.
+static bool plan_is_nothing(const struct params *p, struct bloom_reply *r)
+{
+    if (p->bloom == SWITCH_ON && p->intensity > 0)
+        return false;
+    snprintf(r->plan, sizeof r->plan, "no glow: %s", p->bloom == SWITCH_OFF ? "bloom=off" : "intensity=0");
+    snprintf(r->rule, sizeof r->rule, "-");
+    r->exposure = p->exposure_auto ? 0 : p->exposure;
+    return true;
+}
+
 // Nothing is decoded: the request has no scans.
 int job_plan(struct job *j, struct bloom *b, struct fault *f)
 {
@@ -399,6 +410,8 @@ int job_plan(struct job *j, struct bloom *b, struct fault *f)
             continue;
         if (scene_begin(j, i, &request, &out, f) < 0)
             return -1;
+        if (plan_is_nothing(&j->params, &out->bloom))
+            continue;
         request.scan = request.source_scan = request.matte_scan = NULL;
         if (bloom_plan(b, &g[i], &request, &out->bloom, f) < 0)
             return -1;
@@ -498,17 +511,35 @@ static int write_fd(void *ctx, const void *data, size_t len)
     return 0;
 }
 
+// Nothing was asked for that changes a byte: the result is the file that came, without a stamp.
+static bool hands_on(const struct job *j)
+{
+    const struct params *p = &j->params;
+    return p->bloom == SWITCH_OFF && !*p->matte && p->display == DISPLAY_NONE && p->saturation == 1 &&
+           p->encoding == ENCODING_LINEAR && p->view_spec.view == VIEW_FINAL && !p->layer_count &&
+           p->nonfinite != NONFINITE_ZERO && !(p->grow_size.value > 0) && j->exr_options.compression == EXR_KEEP &&
+           j->exr_options.pixels == EXR_PIXELS_KEEP;
+}
+
+static int assemble(struct job *j, int (*to)(void *ctx, const void *data, size_t len), struct fault *f)
+{
+    if (!hands_on(j))
+        return exr_assemble(j->exr, to, &j->output, f);
+    int rc = to(&j->output, j->input.data, j->input.size);
+    return rc < 0 ? fault_set(f, FAULT_NO_MEMORY, "output", "the result cannot be written: %s", strerror(-rc)) : 0;
+}
+
 static int finish_exr(struct job *j, struct fault *f)
 {
     struct payload *p = &j->output;
-    uint64_t size = exr_assembled_bytes(j->exr), limit = j->env->limits.max_frame_bytes;
+    uint64_t size = hands_on(j) ? j->input.size : exr_assembled_bytes(j->exr), limit = j->env->limits.max_frame_bytes;
     if (size > limit)
         return fault_set(f, FAULT_LIMIT, "output.size", "the result has %llu bytes; at most %llu are sent",
                          (unsigned long long)size, (unsigned long long)limit);
     if (j->output_kind == JOB_OUTPUT_MEMFD) {
-        if (payload_new_memfd(p, f) < 0 || exr_assemble(j->exr, write_fd, p, f) < 0)
+        if (payload_new_memfd(p, f) < 0 || assemble(j, write_fd, f) < 0)
             return -1;
-    } else if (take_block(j, size, f) < 0 || exr_assemble(j->exr, write_block, p, f) < 0) {
+    } else if (take_block(j, size, f) < 0 || assemble(j, write_block, f) < 0) {
         return -1;
     }
     if (p->size != size)

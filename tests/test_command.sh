@@ -214,6 +214,75 @@ check "--dirt FILE is sent once, and missed when it is not kept" t
 t() { exits 0 plan "$work/in.exr" --threshold-unit linear && exits 0 plan "$work/in.exr" --threshold_unit=linear && exits 0 plan "$work/in.exr" --budget-ms 0; }
 check "dashes for underscores" t
 
+# ---- what one may ask for ----------------------------------------------------------------------------------
+fresh() { rm -rf "$work/o" && mkdir "$work/o"; }
+takes() { # options: done, said, and another picture than the one that came
+    exits 0 bloom "$work/in.exr" "$work/o/out.exr" "$@" && is_exr "$work/o/out.exr" && says "plan" &&
+        why="$* changed nothing" && ! cmp -s "$work/in.exr" "$work/o/out.exr"
+}
+refuses() { # status text options
+    local status=$1 text=$2
+    shift 2
+    exits "$status" bloom "$work/in.exr" "$work/o/no.exr" "$@" && says "$text" && why="$* left a file" && [ ! -e "$work/o/no.exr" ]
+}
+holds() { # text in the last output's bytes: a channel's name in the header
+    why="the output has no $1"
+    grep -qaF -- "$1" "$work/o/out.exr"
+}
+t() {
+    fresh && takes --firefly 4 && says 'by firefly' && takes --clamp 2 && says 'taken by clamp' &&
+        takes --threshold-unit stops --threshold -1 && takes --exposure auto && says 'exposure' &&
+        takes --matte A --emission 2 && takes --bright luminance --near 2 --far .5
+}
+check "where the glow comes from" t
+t() {
+    fresh && takes --display aces --encoding srgb && takes --composite mix --intensity .5 && takes --edge fill && says '0 lost' &&
+        takes --show bright && takes --show bloom && takes --show level:1 && takes --show residual &&
+        takes --layers bright/bloom && holds airy.bright.R && holds airy.bloom.B &&
+        takes --grow 16 && says 'the 16 pixels that it grew by' && takes --grow 2% && takes --grow 1mm
+}
+check "where it goes" t
+t() {
+    fresh && takes --psf octaves:sigma=2,count=5 && takes --psf halation:sigma=9/5/3,gain=.1/.02/.01 &&
+        takes --psf eye && says 'by FFT' && takes --psf airy:f=16 && takes --psf aperture:blades=5 &&
+        takes --psf "image:$work/in.exr,weight=.2" && takes --dirt "$work/in.exr" --dirt-gain .5
+}
+check "every point spread function" t
+t() {
+    fresh
+    for look in half-gaussian mip-chain three-scale jimenez airy-eight; do
+        takes --look $look && says "plan     $look:" && exits 0 plan "$work/in.exr" --look $look && prints "plan     $look:" || return 1
+    done
+    why="a ledger that no look keeps" && exits 0 bloom "$work/in.exr" "$work/o/out.exr" --look jimenez --radius 1 --legacy-gain on &&
+        ! grep -q 'bright, ' "$work/err" && takes --look three-scale --kawase 2 --stages 6 --tint 1:.5:.2 &&
+        takes --look mip-chain --sun x=50%,y=20%,radius=5%
+}
+check "every look" t
+t() {
+    fresh && exits 0 bloom "$work/in.exr" "$work/o/off.exr" --bloom off && says 'handed on as it was' && same "$work/in.exr" "$work/o/off.exr" &&
+        exits 0 plan "$work/in.exr" --bloom off && prints 'no glow: bloom=off' && takes --bloom off --display aces
+}
+check "--bloom off hands on the very file" t
+t() {
+    fresh && takes --budget-ms 100000 && refuses 2 'params.budget_ms: budget_ms = 1e-06: the cheapest plan' --budget-ms 0.000001 &&
+        exits 2 plan "$work/in.exr" --budget-ms 0.000001 && says '[PARAM_CONFLICT 203]'
+}
+check "a budget, and one that cannot be" t
+t() {
+    fresh && refuses 2 'look = jimenez does not have it' --look jimenez --psf eye && refuses 2 'look = none does not have it' --radius 2 &&
+        refuses 2 'no such point spread function; known: gaussians' --psf gauss && refuses 2 'weight=... is missing' --psf gaussians:sigma=4 &&
+        refuses 2 '--show (params.view): ' --show level:9 && refuses 2 'level:0 to level:3' --show level:9 && refuses 2 '--show' --show nope &&
+        refuses 2 'was given before' --layers bright/bright && refuses 2 'there is no dirt' --dirt-gain .5 &&
+        refuses 2 'there is no matte' --emission 2 && refuses 2 'at most 1' --composite mix --intensity 2 &&
+        refuses 2 'a threshold in stops is to be given' --threshold-unit stops && refuses 2 'exposure is not auto' --key .2 &&
+        refuses 2 'params.edge' --edge fill --psf eye && refuses 2 'a length from 0 to 16384 px' --grow 20000 &&
+        refuses 3 "layer 'nope' asked for" --source nope && refuses 3 "channel 'nope' asked for" --matte nope &&
+        refuses 3 'params.dirt: nope.exr: No such file' --dirt nope.exr &&
+        refuses 3 'params.psf: nope.exr: No such file' --psf image:nope.exr,weight=1 &&
+        exits 3 plan "$work/in.exr" --dirt nope.exr && says 'nope.exr: No such file' && nothing_left "$work/o"
+}
+check "what contradicts, and what is not there, is named" t
+
 # ---- outputs that cannot be ----------------------------------------------------------------------------
 old() { rm -rf "$work/o" && mkdir "$work/o" && echo old >"$work/o/out.exr" && cp "$work/o/out.exr" "$work/old"; }
 t() {
