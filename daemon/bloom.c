@@ -227,14 +227,38 @@ static double plan_weight(const struct frame *fr)
     return fr->fft ? fr->params->psf_spec.weight : fr->b->plan->weight_sum;
 }
 
-static void untouched(struct bloom_reply *r)
+static bool all_skipped(const struct frame *fr)
 {
-    r->untouched = true;
-    snprintf(r->skipped, sizeof(r->skipped), "everything: %s",
-             r->max_bright == 0 ? "no highlight" : "the glow has no weight");
-    snprintf(r->plan, sizeof(r->plan), "untouched: %s",
-             r->max_bright == 0 ? "no pixel is above the threshold" : "the glow has no weight");
+    const unsigned n = fr->b->plan->count;
+    return n && fr->skip == (n == 32 ? UINT32_MAX : (1u << n) - 1);
+}
+
+// Nothing is spread: why, in the reply.
+static void dark_reply(const struct frame *fr, struct bloom_reply *r)
+{
+    const char *why = r->max_bright == 0 ? "no pixel is above the threshold"
+                      : fr->params->bloom == SWITCH_OFF ? "bloom=off"
+                      : all_skipped(fr) ? "the glow stays below half of the output's smallest step"
+                                        : "the glow has no weight";
+    if (fr->params->bloom == SWITCH_OFF)
+        why = "bloom=off";
+    r->untouched = !changes_anyway(fr);
+    snprintf(r->skipped, sizeof(r->skipped), "the spread: %s", why);
+    snprintf(r->plan, sizeof(r->plan), "%s: %s", r->untouched ? "untouched" : "no glow", why);
     snprintf(r->rule, sizeof(r->rule), "-");
+    r->error_bound = fr->skip_bound;
+}
+
+static void describe_skips(const struct frame *fr, struct bloom_reply *r)
+{
+    int n = 0;
+    if (fr->lit)
+        n = snprintf(r->skipped, sizeof(r->skipped), "bright pass and first levels of %.0f %% of the tiles: no highlight there",
+                     100 * (1 - fr->lit->share));
+    const unsigned skipped = (unsigned)__builtin_popcount(fr->skip);
+    if (skipped)
+        snprintf(r->skipped + n, sizeof(r->skipped) - (size_t)n, "%s%u of %u Gaussians: together below half of the output's smallest step",
+                 n ? "; " : "", skipped, fr->b->plan->count);
 }
 
 static int check_request(const struct frame *fr)
@@ -249,6 +273,30 @@ static int check_request(const struct frame *fr)
                              others[i]->geometry.height, g->width, g->height);
     if (fr->params->edge == EDGE_FILL && fr->params->psf_spec.kind != PSF_GAUSSIANS)
         return fault_set(fr->f, FAULT_PARAM_CONFLICT, "params.edge", "edge=fill: a psf of Gaussians expected");
+    return 0;
+}
+
+static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
+{
+    struct bloom *b = fr->b;
+    if (choose_storage(fr, r->max_bright) < 0 || prepare_targets(fr) < 0 || (fr->fft && !dark && fft_prepare(fr) < 0))
+        return -1;
+    struct lit lit;
+    if (!dark) {
+        fr->most_glow = fr->params->intensity * r->max_bright * (plan_weight(fr) * (1 + 0x1p-10) + plan_bound(fr));
+        fr->lit = !b->whole && bright_lit(fr, &lit) ? &lit : NULL;
+    }
+    if (record_frame(fr, dark) < 0)
+        return -1;
+    log_profile(b);
+    if (dark)
+        return 0;
+    plan_describe(b, fr->params, r);
+    describe_skips(fr, r);
+    snprintf(r->storage, sizeof(r->storage), "%s", fr->half ? "half" : "float");
+    r->error_bound = plan_bound(fr) + plan_weight(fr) * bright_rounding(fr, r) + fr->skip_bound;
+    r->predicted_ms = fr->fft ? 0 : cost_predict(b, b->plan, &fr->target->geometry);
+    account(fr, r);
     return 0;
 }
 
@@ -288,34 +336,16 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
         return -1;
     set_features(&fr);
     const bool no_plan = fr.fft ? fr.params->psf_spec.weight == 0 : !b->plan->count;
-    const bool dark = r.max_bright == 0 || no_plan || fr.params->intensity == 0;
+    bool dark = r.max_bright == 0 || no_plan || fr.params->intensity == 0;
+    if (!dark && is_plain_picture(&fr, &fr.params->view_spec) && fr.target->geometry.outputs == 1)
+        bright_skip(&fr, &r);
+    dark |= all_skipped(&fr);
     if (dark)
-        untouched(&r);
-    if (dark && !changes_anyway(&fr) && fr.target->geometry.outputs == 1) {
-        *reply = r;
-        return 0;
-    }
-    r.untouched = dark && !changes_anyway(&fr);
-    if (choose_storage(&fr, r.max_bright) < 0 || prepare_targets(&fr) < 0 || (fr.fft && !dark && fft_prepare(&fr) < 0))
+        dark_reply(&fr, &r);
+    if ((!r.untouched || fr.target->geometry.outputs > 1) && run_frame(&fr, dark, &r) < 0)
         return -1;
-    if (!dark)
-        fr.most_glow = fr.params->intensity * r.max_bright * (plan_weight(&fr) * (1 + 0x1p-10) + plan_bound(&fr));
-    struct lit lit;
-    fr.lit = !dark && !b->whole && bright_lit(&fr, &lit) ? &lit : NULL;
-    if (record_frame(&fr, dark) < 0)
-        return -1;
-    if (fr.lit)
-        snprintf(r.skipped, sizeof(r.skipped), "bright pass and first levels of %.0f %% of the tiles: no highlight there",
-                 100 * (1 - lit.share));
-    r.device_ms = now_ms() - start;
-    log_profile(b);
-    if (!dark) {
-        plan_describe(b, fr.params, &r);
-        snprintf(r.storage, sizeof(r.storage), "%s", fr.half ? "half" : "float");
-        r.error_bound = plan_bound(&fr) + plan_weight(&fr) * bright_rounding(&fr, &r);
-        r.predicted_ms = cost_predict(b, b->plan, &fr.target->geometry);
-        account(&fr, &r);
-    }
+    if (!r.untouched)
+        r.device_ms = now_ms() - start;
     *reply = r;
     return 0;
 }

@@ -117,7 +117,7 @@ struct bloom_reply {
                              for HALF, here for nothing yet */
     uint32_t tiles, tiles_bright;
     double device_ms;
-    double predicted_ms;  /* by the cost model measured at the device's start */
+    double predicted_ms;  /* by the cost model measured at the device's start; 0: not known (FFT, looks) */
 };
 
 /* What would run for such a frame, without running: fills plan, rule, storage, levels, error_bound (filters, rounding

@@ -135,6 +135,46 @@ bool bright_lit(const struct frame *fr, struct lit *out)
     return false;
 }
 
+/* ---- what cannot show ---------------------------------------------------------------------------------- */
+
+// An upper bound of what Gaussian k adds anywhere: no more than its weight of the brightest E (its taps are >= 0 and sum to 1), and no
+// more than all of E at the Gaussian's own peak. The sum of exp(-n^2 / 2 sigma^2) is at least 1 and at least sigma sqrt(2 pi).
+static double most_of(const struct frame *fr, const struct plan_gaussian *k, double max_bright, double all_bright)
+{
+    const double norm = fmax(1, k->sigma_x * sqrt(2 * M_PI)) * fmax(1, k->sigma_y * sqrt(2 * M_PI));
+    const double weight = fmax(k->weight[0], fmax(k->weight[1], k->weight[2]));
+    const double peak = (1 + k->peak + 0x1p-10) / norm;
+    return fr->params->intensity * weight * fmin(max_bright * (1 + 0x1p-10), all_bright * peak);
+}
+
+void bright_skip(struct frame *fr, const struct bloom_reply *reply)
+{
+    const struct plan *p = fr->b->plan;
+    // Half the smallest step of a half: added to any half, it rounds away. (float32 has no step that small.)
+    double left = 0x1p-25, all = 0;
+    bool done[PARAMS_GAUSSIANS_MAX] = { false };
+    fr->skip = 0;
+    fr->skip_bound = 0;
+    if (fr->fft || fr->pad || fr->b->whole || fr->target->geometry.type != PIXEL_TYPE_HALF)
+        return;
+    for (uint32_t i = 0; i < reply->tiles; i++)
+        all += tile_bound(fr, i) * SCAN_TILE * SCAN_TILE;
+    for (;;) {
+        unsigned least = p->count;
+        for (unsigned g = 0; g < p->count; g++)
+            if (!done[g] && (least == p->count || most_of(fr, &p->gaussian[g], reply->max_bright, all) <
+                                                      most_of(fr, &p->gaussian[least], reply->max_bright, all)))
+                least = g;
+        if (least == p->count || most_of(fr, &p->gaussian[least], reply->max_bright, all) > left)
+            return;
+        const double most = most_of(fr, &p->gaussian[least], reply->max_bright, all);
+        done[least] = true;
+        left -= most;
+        fr->skip |= 1u << least;
+        fr->skip_bound += most / (fr->params->intensity * reply->max_bright);
+    }
+}
+
 void bright_set(struct frame *fr)
 {
     const struct params *p = fr->params;

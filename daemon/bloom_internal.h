@@ -221,6 +221,8 @@ struct frame {
     bool rich;                   /* the bright pass is extract.frag */
     struct ledger_sums sums;
     double most_glow;            /* an upper bound of intensity * B */
+    uint32_t skip;               /* bit g: the plan's Gaussian g is left out, for it cannot reach half a step of the output; */
+    double skip_bound;           /* what that is at most, of intensity * max E */
     bool half;                   /* levels are stored as half, */
     double scale;                /* all their numbers times this power of 2; else 1 */
     const struct lit *lit;       /* where E may be above 0; NULL: anywhere */
@@ -246,6 +248,8 @@ void bright_set(struct frame *fr);
 void bright_count(const struct frame *fr, struct bloom_reply *reply);
 /* False: nearly everywhere, or too scattered to be worth it. */
 bool bright_lit(const struct frame *fr, struct lit *out);
+/* Sets skip and skip_bound: for a scene-linear picture of half, Gaussians whose sum stays below half of its smallest step. */
+void bright_skip(struct frame *fr, const struct bloom_reply *reply);
 /* What E's own arithmetic rounds off, of max E. */
 double bright_rounding(const struct frame *fr, const struct bloom_reply *reply);
 

@@ -126,8 +126,13 @@ int bloom_plan(struct bloom *b, const struct bloom_geometry *geometry, const str
     if (plan_find(b, request, geometry, f) < 0)
         return -1;
     plan_describe(b, p, &r);
-    r.error_bound = b->plan->filter_bound + b->plan->weight_sum * b->plan->rounding_bound;
-    r.predicted_ms = cost_predict(b, b->plan, geometry);
+    if (p->psf_spec.kind != PSF_GAUSSIANS) {
+        // float32's rounding of the result, which is nearly all of it; the transforms' own share needs the kernel.
+        r.error_bound = p->psf_spec.weight * 0x1p-23;
+    } else {
+        r.error_bound = b->plan->filter_bound + b->plan->weight_sum * b->plan->rounding_bound;
+        r.predicted_ms = cost_predict(b, b->plan, geometry);
+    }
     *reply = r;
     return 0;
 }

@@ -343,7 +343,8 @@ int record_spread(struct frame *fr, int only, struct round *r)
     unsigned g = p->count;
     for (unsigned level = p->levels;; level--) {
         for (; g > 0 && p->gaussian[g - 1].level == level; g--)
-            if ((only < 0 || p->gaussian[g - 1].index == (unsigned)only) && record_gaussian(fr, &p->gaussian[g - 1], r) < 0)
+            if (!(fr->skip >> (g - 1) & 1) && (only < 0 || p->gaussian[g - 1].index == (unsigned)only) &&
+                record_gaussian(fr, &p->gaussian[g - 1], r) < 0)
                 return -1;
         if (level == finest)
             return 0;

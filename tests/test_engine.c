@@ -297,6 +297,33 @@ static void test_same_bytes(void **state)
     scene_finish(&o);
 }
 
+// What cannot reach half a step of a half is left out, and the bound says so.
+static void test_too_faint_to_show(void **state)
+{
+    (void)state;
+    struct scene s;
+    scene_init(&s, 150, 90, 3, PIXEL_TYPE_HALF);
+    scene_fill(&s);
+    struct params p = scene_params("gaussians:sigma=4/30,weight=.2/1e-13", BRIGHT_KNEE, 1e-3);
+    scene_run(&s, &p, engine, 0);
+    assert_false(s.reply.untouched);
+    assert_non_null(strstr(s.reply.skipped, "1 of 2 Gaussians"));
+    scene_check(&s, &p, "one Gaussian too faint");
+    p.intensity = 1e-13;
+    scene_run(&s, &p, engine, 0);
+    assert_true(s.reply.untouched);
+    assert_true(s.reply.error_bound > 0);
+    assert_non_null(strstr(s.reply.plan, "smallest step"));
+    scene_check(&s, &p, "all too faint");
+    // float32 has steps that small.
+    scene_finish(&s);
+    scene_init(&s, 150, 90, 3, PIXEL_TYPE_FLOAT);
+    scene_fill(&s);
+    scene_run(&s, &p, engine, 0);
+    assert_false(s.reply.untouched);
+    scene_finish(&s);
+}
+
 // Levels stored as half: within their own, computed, bound; refused where that is above the tolerance.
 static void test_half_storage(void **state)
 {
@@ -452,6 +479,7 @@ int main(void)
         cmocka_unit_test(test_all_halfs_keep_their_bits),
         cmocka_unit_test(test_same_bytes),
         cmocka_unit_test(test_half_storage),
+        cmocka_unit_test(test_too_faint_to_show),
         cmocka_unit_test(test_dark_tiles),
         cmocka_unit_test(test_mirror),
         cmocka_unit_test(test_all_pipelines_draw),
