@@ -19,11 +19,12 @@ struct run {
 
 /* ---- recording ------------------------------------------------------------------------------------- */
 
-static struct stage_uniforms *begin_draw(struct run *r, struct vk_draw *d)
+static struct stage_uniforms *begin_draw(struct run *r, struct vk_draw *d, const char *name)
 {
     struct look_targets *t = r->b->look;
     const struct bloom_geometry *g = &r->target->geometry;
     assert(r->draws < LOOK_DRAWS_MAX);
+    r->b->pass_name[r->draws] = name;
     d->uniforms = t->uniforms.buffer;
     d->uniforms_offset = (VkDeviceSize)r->draws++ * UNIFORM_STRIDE;
     d->uniforms_bytes = sizeof(struct stage_uniforms);
@@ -112,7 +113,7 @@ static int record_stage(struct run *r, const struct look_stage *s)
     d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_SFLOAT, 1, spec, r->f);
     if (!d.pipeline)
         return -1;
-    struct stage_uniforms *u = begin_draw(r, &d);
+    struct stage_uniforms *u = begin_draw(r, &d, name);
     if (d.src)
         image_size(u->src, d.src);
     if (d.add)
@@ -146,7 +147,7 @@ static int record_store(struct run *r, unsigned output, enum view view)
     d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_UINT, LEVEL_PHASES, spec, r->f);
     if (!d.pipeline)
         return -1;
-    struct stage_uniforms *u = begin_draw(r, &d);
+    struct stage_uniforms *u = begin_draw(r, &d, "store");
     image_size(u->add, d.add);
     const int32_t dst[4] = { (int32_t)g->width, (int32_t)g->height, (int32_t)slot->groups, (int32_t)g->channels };
     memcpy(u->dst, dst, sizeof(dst));
