@@ -38,6 +38,7 @@ void look_destroy(struct bloom *b, struct look_targets *t)
     clear_images(&b->vk, t);
     vk_arena_free(&b->vk, &t->memory);
     vk_buffer_free(&b->vk, &t->uniforms);
+    vk_buffer_free(&b->vk, &t->sums);
     for (unsigned i = 0; i < t->pipelines; i++)
         vk_pipeline_destroy(&b->vk, &t->pipeline[i].pipeline);
     free(t);
@@ -47,7 +48,8 @@ static bool same_images(const struct look_targets *t)
 {
     bool same = t->made && t->images == t->list.images;
     for (unsigned i = 0; same && i < t->images; i++)
-        same = t->image[i].width == t->list.image[i].width && t->image[i].height == t->list.image[i].height;
+        same = t->image[i].width == t->list.image[i].width && t->image[i].height == t->list.image[i].height &&
+               t->image[i].layers == t->list.image[i].layers;
     return same;
 }
 
@@ -93,7 +95,7 @@ int look_targets_prepare(struct bloom *b, struct fault *f)
             fault_set(f, FAULT_LIMIT, "input", "%u x %u pixels: a look takes frames up to %u x %u here", w, h, most, most);
             goto fail;
         }
-        if (vk_image_create(v, &t->image[i], VK_FORMAT_R32G32B32A32_SFLOAT, w, h, 1, false, f) < 0 ||
+        if (vk_image_create(v, &t->image[i], VK_FORMAT_R32G32B32A32_SFLOAT, w, h, t->list.image[i].layers, false, f) < 0 ||
             place(v, &p, i, &t->image[i], f) < 0)
             goto fail;
     }
