@@ -180,7 +180,8 @@ static int record_store(struct run *r, unsigned output, enum view view)
     const struct look_rows *rows = view == VIEW_BRIGHT ? &t->list.bright : &t->list.glow;
     struct vk_draw d = { .src = matte ? &t->image[t->list.matte] : NULL, .add = &t->image[rows->image] };
     const bool glows = !r->black && view != VIEW_SOURCE;
-    const int32_t spec[4] = { rows->section[0].height == g->height, show, glows ? (int32_t)rows->sections : 0 };
+    const int32_t spec[4] = { rows->section[0].height == g->height, show, glows ? (int32_t)rows->sections : 0,
+                              (int32_t)view };
     d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_UINT, LEVEL_PHASES, spec, r->f);
     if (!d.pipeline)
         return -1;
@@ -188,7 +189,7 @@ static int record_store(struct run *r, unsigned output, enum view view)
     image_size(u->add, d.add);
     const int32_t dst[4] = { (int32_t)g->width, (int32_t)g->height, (int32_t)slot->groups, (int32_t)g->channels };
     memcpy(u->dst, dst, sizeof(dst));
-    const int32_t mode[4] = { p->nonfinite, (int32_t)view, p->display, p->encoding };
+    const int32_t mode[4] = { p->nonfinite, 0, p->display, p->encoding };
     memcpy(u->mode, mode, sizeof(mode));
     u->weight[0] = view == VIEW_BRIGHT ? 1 : (float)p->intensity;
     u->weight[3] = (float)p->emission;

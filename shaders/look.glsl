@@ -8,7 +8,7 @@ layout(std140, set = 0, binding = 3) uniform Stage {
     ivec4 src;    // width, height of src; sum: z texels a column
     ivec4 add;    // of add
     ivec4 dst;    // of the result, in pixels; rows: z first row of the section; store: z groups of 4 rows of a channel's block
-    ivec4 mode;   // x nonfinite policy, y enum view, z enum display, w enum encoding
+    ivec4 mode;   // x nonfinite policy, z enum display, w enum encoding
     vec4 bright;  // T, 2K, 1/(4K) (smoothstep: 1/(2TK)) or 0 where K is 0, the curve's foot T - K (T - TK)
     vec4 luma;    // w: saturation
     vec4 weight;  // load: x scale, w emission; sample: rgb of the sum; mix: gain * tint of the sun; sum: x scale; store: x k, w emission

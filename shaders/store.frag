@@ -16,6 +16,7 @@ layout(location = 3) out uvec4 out3;
 layout(constant_id = 0) const int ADD_TEXELS = 0; // a section has the frame's height
 layout(constant_id = 1) const int DISPLAY = 0;
 layout(constant_id = 2) const int SECTIONS = 1; // 0: no glow
+layout(constant_id = 3) const int VIEW = 0;     // enum view
 
 #ifdef MATTE
 layout(rgba32f, set = 0, binding = 0) uniform readonly image2D src;
@@ -45,8 +46,6 @@ uint packed(float v) { return floatBitsToUint(clamp(v, -MOST, MOST)); }
 // Up to the tone map, and the glow where it comes after that.
 float shown(float scene, float glow)
 {
-    if (DISPLAY == 0)
-        return scene + glow;
     bool after = stage.numbers.y != 0.0;
     float v = clamp((after ? scene : scene + glow) * stage.numbers.x, 0.0, FLOAT_MAX);
     v = tone_map(v, stage.mode.z);
@@ -56,20 +55,27 @@ float shown(float scene, float glow)
 // One sample: the input's bits, its glow or E, the scene's factor, and with ALL what saturation made of it.
 uint stored(uint bits, float glow, float factor, float display)
 {
-    bool bad = bad_bits(bits), keep = stage.mode.x != 1;
-    float scene = bad ? 0.0 : value_of(bits) * factor;
-    if (stage.mode.y == SOURCE)
-        return bad && keep || !bad && factor == 1.0 ? bits : packed(scene);
-    if (stage.mode.y != FINAL)
+    bool bad = bad_bits(bits), same;
+    float scene = bad ? 0.0 : value_of(bits) * factor, v;
+    // Chosen by constants and selects: a return in the middle costs more than what it saves.
+    if (VIEW == SOURCE) {
+        v = scene;
+        same = !bad && factor == 1.0;
+    } else if (VIEW != FINAL) {
         return packed(glow);
-    if (bad && keep || DISPLAY == 0 && !bad && glow == 0.0 && factor == 1.0)
-        return bits;
+    } else if (DISPLAY == 0) {
+        v = scene + glow;
+        same = !bad && glow == 0.0 && factor == 1.0;
+    } else {
 #ifdef ALL
-    return packed(encoded(display, stage.mode.w));
+        v = encoded(display, stage.mode.w);
 #else
-    float v = shown(scene, glow);
-    return packed(DISPLAY == 0 ? v : encoded(v, stage.mode.w));
+        v = encoded(shown(scene, glow), stage.mode.w);
 #endif
+        same = false;
+    }
+    uint made = packed(v);
+    return same || bad && stage.mode.x != 1 ? bits : made;
 }
 
 // Four pixels of a row of the frame.
@@ -150,7 +156,7 @@ void main()
     ivec2 at = ivec2(gl_FragCoord.xy);
     int block = at.y / stage.dst.z, group = at.y - block * stage.dst.z;
     uvec4 rows[4];
-    [[dont_unroll]] for (int p = 0; p < 4; p++) {
+    [[unroll]] for (int p = 0; p < 4; p++) {
         int row = min(4 * group + p, stage.dst.y - 1);
         rows[p] = line(ivec2(at.x, row), row, block);
     }
