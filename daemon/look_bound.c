@@ -90,7 +90,7 @@ static struct count sampled(const struct look_list *l, const struct look_stage *
 }
 
 // Each part's curve, its weight and the sums; the sun's exp(-u) rounds 3 u exp(-u) < 1.2 in u, and 7 more.
-static struct count mixed(const struct look_list *l, const struct look_facts *f, const struct look_stage *s, const struct count *of)
+static struct count mixed(const struct look_list *l, const struct look_stage *s, const struct count *of)
 {
     struct count k = most(of[s->src], of[s->add], false);
     double sum = 0;
@@ -100,7 +100,6 @@ static struct count mixed(const struct look_list *l, const struct look_facts *f,
         sum += s->tap[i].weight;
     k.after += 2 + s->taps + (s->after ? 8 : 0);
     k.gain = sum;
-    (void)f;
     return k;
 }
 
@@ -132,7 +131,7 @@ static struct count count_stage(const struct look_list *l, const struct look_fac
         *count_of(&k) += along(l->image[s->src].width, f->width);
         return s->first ? most(of[s->dst], k, true) : k;
     case LOOK_MIX:
-        return mixed(l, f, s, of);
+        return mixed(l, s, of);
     case LOOK_SAMPLE:
         return sampled(l, s, of);
     }

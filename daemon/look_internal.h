@@ -66,7 +66,6 @@ struct look_facts {
     double exposure, pixel_aspect;
     uint32_t display_width;
     bool matte, want_bright;
-    bool want_light; /* sums for the energies */
     double sun_share; /* unoccluded */
 };
 
@@ -111,7 +110,9 @@ struct look_targets {
     struct vk_buffer uniforms;
     struct vk_buffer sums;   /* the lists' sums, for the host */
     unsigned pipelines;
-    struct { const char *name; int32_t spec[4]; struct vk_pipeline pipeline; } pipeline[LOOK_PIPELINES_MAX];
+    /* When it is full the one that was used least lately makes room; `used` is the run, and one run uses far fewer than all. */
+    struct { const char *name; int32_t spec[4]; uint64_t used; struct vk_pipeline pipeline; } pipeline[LOOK_PIPELINES_MAX];
+    uint64_t runs;
     struct look_list list;
 };
 

@@ -157,8 +157,6 @@ static struct look_rows rows_of(struct look_list *l, const struct look_facts *f,
 static void sum_light(struct look_list *l, const struct look_facts *f, struct look_light *light, double factor, int pixels,
                       const struct look_rows *rows, bool curve)
 {
-    if (!f->want_light)
-        return;
     const int of = rows ? rows->image : pixels;
     const uint32_t width = rows ? (f->width + 3) / 4 : l->image[of].width;
     light->factor = factor;
@@ -266,8 +264,10 @@ static void add_sun(struct look_list *l, const struct look_facts *f, struct look
         s->weight[c] = (float)(sun->gain * sun->tint[c] * f->sun_share);
         mean += sun->tint[c] / 3;
     }
-    if (f->channels == 1)
+    if (f->channels == 1) {
+        set_weight(s, 0);
         s->weight[0] = (float)(sun->gain * mean * f->sun_share);
+    }
     // A pixel's middle less the sun, in two parts: whole pixels are exact.
     const float at[8] = { (float)floor(x), (float)floor(y), (float)(x - floor(x) - .5), (float)(y - floor(y) - .5),
                           (float)(1 / (2 * radius * radius)), (float)f->pixel_aspect };

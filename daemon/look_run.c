@@ -181,7 +181,7 @@ static int record_store(struct run *r, unsigned output, enum view view)
     struct vk_draw d = { .src = matte ? &t->image[t->list.matte] : NULL, .add = &t->image[rows->image] };
     const bool glows = !r->black && view != VIEW_SOURCE;
     const int32_t spec[4] = { rows->section[0].height == g->height, show, glows ? (int32_t)rows->sections : 0,
-                              (int32_t)view };
+                              view > VIEW_SOURCE ? VIEW_BRIGHT : (int32_t)view }; // bright and bloom are both what `add` holds
     d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_UINT, LEVEL_PHASES, spec, r->f);
     if (!d.pipeline)
         return -1;
@@ -316,7 +316,6 @@ static void make_list(struct run *r)
         .display_width = q->display_width,
         .matte = q->matte >= 0,
         .want_bright = wants(r, VIEW_BRIGHT),
-        .want_light = true,
         .sun_share = q->params->look == LOOK_MIP_CHAIN ? look_sun_share(r->b, r->slot, q) : 1,
     };
     look_list_make(&r->b->look->list, &facts);
@@ -329,6 +328,7 @@ int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struc
     const struct params *p = request->params;
     if (check(&r) < 0 || look_targets_create(b, f) < 0)
         return -1;
+    b->look->runs++;
     make_list(&r);
     r.black = black(&r);
     // Up to 2^16 pixels of 1e38 and a look's gain are added in floats.

@@ -16,7 +16,7 @@ layout(location = 3) out uvec4 out3;
 layout(constant_id = 0) const int ADD_TEXELS = 0; // a section has the frame's height
 layout(constant_id = 1) const int DISPLAY = 0;
 layout(constant_id = 2) const int SECTIONS = 1; // 0: no glow
-layout(constant_id = 3) const int VIEW = 0;     // enum view
+layout(constant_id = 3) const int VIEW = 0;     // 0 final, 1 source, 2 what `add` holds
 
 #ifdef MATTE
 layout(rgba32f, set = 0, binding = 0) uniform readonly image2D src;
