@@ -329,6 +329,8 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     if (fr.params->look != LOOK_NONE) {
         if (look_run(b, s, target, &request, fr.exposure, &r, f) < 0)
             return -1;
+        if (!r.untouched)
+            log_profile(b);
         *reply = r;
         return 0;
     }

@@ -35,8 +35,18 @@
 #include "bloom.h"
 
 /* Blooms one target of the slot by params->look. exposure: stops in use (metered already). Fills the reply but for tiles, max_bright
- * and exposure; the energies stay 0, for a look states no ledger: light that its clamped edges and unnormalised weights make or
- * lose is part of its definition. error_bound counts roundings: it is a share of the largest value of the frame, in or out.
+ * and exposure.
+ *
+ * energy_bright: sum of E at full size (view bright). energy_bloomed: sum of k B, what is added to the scene in linear light, before a
+ * display and before the output's type holds it. Both to 1e-4 for light above 1e-30. energy_lost stays 0: light that clamped edges
+ * and unnormalised weights make or lose is part of a look's definition.
+ *
+ * error_bound is a share of the largest value there is (scene, what glows, k B or result; not, as elsewhere, of intensity * max E),
+ * in linear light: a display's curves come after it. It counts the roundings of the definition's float32 evaluation (look_bound.c): at
+ * most 1e-5 for METHODS' numbers, but for jimenez where sizes are odd all the way down (1.1e-5; what is measured is 1e-7), since its
+ * 14 resamplings round three times an axis there, and where smoothstep's slope asks for more: a small knee makes a share of L into
+ * a large one of E, whatever evaluates it. At knee=0 the definition jumps, and the bound says so: it is the look's gain. Values below
+ * the normal floats may count as 0 (each sum may lose some 1e-37).
  * Called by bloom_run on the device thread. 0, or -1 and *f. */
 int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *request,
              double exposure, struct bloom_reply *reply, struct fault *f);

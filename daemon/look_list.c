@@ -29,20 +29,44 @@ static void gaussian(double *half, int radius, double sigma)
 static void add_tap(struct look_stage *s, double dx, double dy, double weight)
 {
     assert(s->taps < LOOK_TAPS_MAX);
-    s->tap[s->taps++] = (struct look_tap){ (float)dx, (float)dy, (float)weight };
+    s->tap[s->taps++] = (struct look_tap){ dx, dy, weight };
+}
+
+// The tap at a whole texel gets more weight, or is made.
+static void add_whole(struct look_stage *s, double dx, double dy, double weight)
+{
+    if (weight == 0)
+        return;
+    for (unsigned i = 0; i < s->taps; i++)
+        if (s->tap[i].dx == dx && s->tap[i].dy == dy) {
+            s->tap[i].weight += weight;
+            return;
+        }
+    add_tap(s, dx, dy, weight);
+}
+
+// A bilinear sample at the same size is four texels of fixed shares, also at a clamped edge: taps between texels become fewer whole
+// ones, which round less.
+static void add_between(struct look_stage *s, double dx, double dy, double weight)
+{
+    const double x = floor(dx), y = floor(dy), u = dx - x, v = dy - y;
+    add_whole(s, x, y, weight * (1 - u) * (1 - v));
+    add_whole(s, x + 1, y, weight * u * (1 - v));
+    add_whole(s, x, y + 1, weight * (1 - u) * v);
+    add_whole(s, x + 1, y + 1, weight * u * v);
 }
 
 static void line_taps(struct look_stage *s, const double *half, int radius, double step, bool down)
 {
     for (int i = -radius; i <= radius; i++)
-        add_tap(s, down ? 0 : i * step, down ? i * step : 0, half[i < 0 ? -i : i]);
+        add_between(s, down ? 0 : i * step, down ? i * step : 0, half[i < 0 ? -i : i]);
 }
 
 // Four corners at a distance.
 static void corner_taps(struct look_stage *s, double distance, double weight)
 {
     for (int i = 0; i < 4; i++)
-        add_tap(s, i & 1 ? distance : -distance, i & 2 ? distance : -distance, weight);
+        add_between(s, i & 1 ? distance : -distance, i & 2 ? distance : -distance, weight);
 }
 
 static void edge_taps(struct look_stage *s, double distance, double weight)
@@ -60,7 +84,16 @@ static int new_image(struct look_list *l, uint32_t width, uint32_t height)
     assert(l->images < LOOK_IMAGES_MAX);
     l->image[l->images].width = width;
     l->image[l->images].height = height;
+    l->image[l->images].layers = 1;
     return (int)l->images++;
+}
+
+// Texels of a row of rows: two for each texel of halfs.
+static int new_rows(struct look_list *l, uint32_t width, uint32_t height)
+{
+    const int i = new_image(l, (width + 7) / 8 * 2, height);
+    l->image[i].layers = 3;
+    return i;
 }
 
 static uint32_t half_of(uint32_t n) { return n / 2 ? n / 2 : 1; }
@@ -103,23 +136,55 @@ static struct look_stage *blur(struct look_list *l, int src, int rows, int dst, 
     return s;
 }
 
-// The images' sum at full size. The first addition takes two at once.
-static int sum_of(struct look_list *l, const int *image, unsigned count, int full)
+// The images as sections of one image of rows.
+static struct look_rows rows_of(struct look_list *l, const struct look_facts *f, const int *image, unsigned count)
 {
-    int sum = image[0], spare = -1;
-    for (unsigned i = 1; i < count; i++) {
-        const int dst = i < 3 ? same_image(l, full) : spare;
-        resample(l, image[i], sum, dst);
-        spare = sum;
-        sum = dst;
+    struct look_rows r = { .sections = count };
+    uint32_t height = 0;
+    assert(count <= LOOK_SECTIONS_MAX);
+    for (unsigned i = 0; i < count; i++) {
+        r.section[i].first = height;
+        r.section[i].height = l->image[image[i]].height;
+        height += r.section[i].height;
     }
-    return sum;
+    r.image = new_rows(l, f->width, height);
+    for (unsigned i = 0; i < count; i++)
+        new_stage(l, LOOK_ROWS, image[i], -1, r.image)->first = r.section[i].first;
+    return r;
 }
+
+/* Light: of pixels (rows NULL), or of rows. */
+static void sum_light(struct look_list *l, const struct look_facts *f, struct look_light *light, double factor, int pixels,
+                      const struct look_rows *rows, bool curve)
+{
+    const int of = rows ? rows->image : pixels;
+    const uint32_t width = rows ? (f->width + 3) / 4 : l->image[of].width;
+    light->factor = factor;
+    light->sums = new_image(l, width < LOOK_SUM_COLUMNS ? width : LOOK_SUM_COLUMNS, l->image[of].height);
+    light->of = rows ? *rows : (struct look_rows){ .image = -1 };
+    new_stage(l, LOOK_SUM, rows ? -1 : of, rows ? of : -1, light->sums)->curve = curve;
+}
+
+// E when it is kept at a size of its own: what a view shows of it, and its light.
+static void keep_bright(struct look_list *l, const struct look_facts *f, int image)
+{
+    const bool twice = 2 * l->image[image].width == f->width && 2 * l->image[image].height == f->height;
+    const bool same = l->image[image].width == f->width && l->image[image].height == f->height;
+    if (f->want_bright || !(twice || same))
+        l->bright = rows_of(l, f, &image, 1);
+    // Drawn to twice its size every pixel counts 4 times, those at the edges too.
+    if (twice || same)
+        sum_light(l, f, &l->bright_light, twice ? 4 : 1, image, NULL, false);
+    else
+        sum_light(l, f, &l->bright_light, 1, -1, &l->bright, false);
+}
+
+// Every sample of the planes is in one pixel of the half size, with the same share.
+static bool even(const struct look_facts *f) { return !f->matte && f->width % 2 == 0 && f->height % 2 == 0; }
 
 // The matte, and the source: times the matte, and E already when the look's curve works at full size.
 static int load(struct look_list *l, const struct look_facts *f, bool curve)
 {
-    l->matte = -1;
     if (f->matte) {
         l->matte = new_image(l, f->width, f->height);
         new_stage(l, LOOK_LOAD_MATTE, -1, -1, l->matte);
@@ -129,62 +194,124 @@ static int load(struct look_list *l, const struct look_facts *f, bool curve)
     return full;
 }
 
+static int load_half(struct look_list *l, const struct look_facts *f, bool curve, bool after)
+{
+    const int half = new_image(l, f->width / 2, f->height / 2);
+    struct look_stage *s = new_stage(l, LOOK_LOAD_HALF, -1, -1, half);
+    s->curve = curve;
+    s->after = after;
+    return half;
+}
+
+// E at half size from I at half size: half-gaussian, jimenez.
+static int bright_of_half(struct look_list *l, const struct look_facts *f)
+{
+    int half;
+    if (even(f)) {
+        half = load_half(l, f, true, true);
+    } else {
+        const int full = load(l, f, false);
+        half = half_image(l, full);
+        resample(l, full, -1, half)->curve = true;
+    }
+    keep_bright(l, f, half);
+    return half;
+}
+
+// E of full size, halved: three-scale, airy-eight. weight: of the halving.
+static int half_of_bright(struct look_list *l, const struct look_facts *f, double weight)
+{
+    int half;
+    if (even(f) && !f->want_bright) {
+        half = load_half(l, f, true, false);
+        set_weight(&l->stage[l->stages - 1], weight);
+        sum_light(l, f, &l->bright_light, 4 / weight, half, NULL, false);
+    } else {
+        const int full = load(l, f, true);
+        keep_bright(l, f, full);
+        half = half_image(l, full);
+        set_weight(resample(l, full, -1, half), weight);
+    }
+    return half;
+}
+
+static void glow_of(struct look_list *l, const struct look_facts *f, const int *image, unsigned count)
+{
+    l->glow = rows_of(l, f, image, count);
+    sum_light(l, f, &l->glow_light, 1, -1, &l->glow, false);
+}
+
 /* ---- the looks --------------------------------------------------------------------------------------- */
 
 static void half_gaussian(struct look_list *l, const struct look_facts *f)
 {
     double half[5];
     gaussian(half, 4, 1.8);
-    const int full = load(l, f, false);
-    l->bright = half_image(l, full);
-    resample(l, full, -1, l->bright)->curve = true;
-    const int rows = same_image(l, l->bright);
-    l->glow = same_image(l, l->bright);
-    blur(l, l->bright, rows, l->glow, half, 4, 1);
+    const int bright = bright_of_half(l, f), rows = same_image(l, bright), glow = same_image(l, bright);
+    blur(l, bright, rows, glow, half, 4, 1);
+    glow_of(l, f, &glow, 1);
 }
 
-static int add_sun(struct look_list *l, const struct look_facts *f, int sum, int spare)
+static void add_sun(struct look_list *l, const struct look_facts *f, struct look_stage *s)
 {
     const struct sun_spec *sun = &f->params->sun_spec;
     double x, y, radius;
     look_sun_place(f->params, f->width, f->height, f->display_width, f->pixel_aspect, &x, &y, &radius);
     if (!sun->given || !(radius > 1e-6) || f->params->bloom == SWITCH_OFF)
-        return sum;
-    struct look_stage *s = new_stage(l, LOOK_SUN, -1, sum, spare);
+        return;
     double mean = 0;
     for (unsigned c = 0; c < 3; c++) {
         s->weight[c] = (float)(sun->gain * sun->tint[c] * f->sun_share);
         mean += sun->tint[c] / 3;
     }
-    if (f->channels == 1)
+    if (f->channels == 1) {
+        set_weight(s, 0);
         s->weight[0] = (float)(sun->gain * mean * f->sun_share);
+    }
     // A pixel's middle less the sun, in two parts: whole pixels are exact.
     const float at[8] = { (float)floor(x), (float)floor(y), (float)(x - floor(x) - .5), (float)(y - floor(y) - .5),
                           (float)(1 / (2 * radius * radius)), (float)f->pixel_aspect };
     memcpy(l->sun, at, sizeof(at));
-    return spare;
+    s->after = true;
+}
+
+// weights[0] of the knee of `first`, rows, and the others of the sections.
+static struct look_stage *mix(struct look_list *l, const struct look_facts *f, struct look_rows *out, int first,
+                              const struct look_rows *others, const double *weights, unsigned count)
+{
+    *out = (struct look_rows){ .image = new_rows(l, f->width, f->height), .sections = 1, .section = { { 0, f->height } } };
+    struct look_stage *s = new_stage(l, LOOK_MIX, others->image, first, out->image);
+    set_weight(s, 0);
+    s->curve = true;
+    for (unsigned i = 0; i < count; i++)
+        add_tap(s, 0, 0, weights[i]);
+    return s;
 }
 
 static void mip_chain(struct look_list *l, const struct look_facts *f)
 {
-    int mip[MIPS], sum[2];
-    mip[0] = load(l, f, false);
-    for (unsigned m = 1; m < MIPS; m++) {
+    struct look_rows full = { .sections = 1, .section = { { 0, f->height } } };
+    int mip[MIPS];
+    if (even(f)) {
+        full.image = new_rows(l, f->width, f->height);
+        new_stage(l, LOOK_LOAD_ROWS, -1, -1, full.image);
+        mip[1] = load_half(l, f, false, false);
+    } else {
+        mip[0] = load(l, f, false);
+        full = rows_of(l, f, mip, 1);
+        mip[1] = half_image(l, mip[0]);
+        resample(l, mip[0], -1, mip[1]);
+    }
+    for (unsigned m = 2; m < MIPS; m++) {
         mip[m] = half_image(l, mip[m - 1]);
         resample(l, mip[m - 1], -1, mip[m]);
     }
-    for (unsigned i = 0; i < 2; i++)
-        sum[i] = same_image(l, mip[0]);
-    for (unsigned m = 0; m < MIPS; m++) {
-        struct look_stage *s = resample(l, mip[m], m ? sum[m & 1] : -1, sum[~m & 1]);
-        s->curve = true;
-        set_weight(s, mip_weights[m]);
-    }
-    l->glow = add_sun(l, f, sum[~(MIPS - 1) & 1], sum[(MIPS - 1) & 1]);
-    if (f->want_bright) {
-        l->bright = same_image(l, mip[0]);
-        resample(l, mip[0], -1, l->bright)->curve = true;
-    }
+    l->mips = rows_of(l, f, mip + 1, MIPS - 1);
+    add_sun(l, f, mix(l, f, &l->glow, full.image, &l->mips, mip_weights, MIPS));
+    sum_light(l, f, &l->glow_light, 1, -1, &l->glow, false);
+    sum_light(l, f, &l->bright_light, 1, -1, &full, true);
+    if (f->want_bright)
+        mix(l, f, &l->bright, full.image, &l->mips, (const double[]){ 1 }, 1);
 }
 
 // Which of the two holds the last pass.
@@ -212,11 +339,14 @@ static void three_scale(struct look_list *l, const struct look_facts *f)
 {
     const unsigned scales = f->params->stages == STAGES_6 ? 6 : 3, passes = (unsigned)f->params->kawase;
     int scale[6], rows[6];
-    l->bright = load(l, f, true);
     for (unsigned i = 0; i < scales; i++) {
-        scale[i] = half_image(l, i ? scale[i - 1] : l->bright);
+        if (i) {
+            scale[i] = half_image(l, scale[i - 1]);
+            resample(l, scale[i - 1], -1, scale[i]);
+        } else {
+            scale[0] = half_of_bright(l, f, 1);
+        }
         rows[i] = same_image(l, scale[i]);
-        resample(l, i ? scale[i - 1] : l->bright, -1, scale[i]);
     }
     for (unsigned i = 0; i < scales; i++) {
         if (passes)
@@ -225,7 +355,7 @@ static void three_scale(struct look_list *l, const struct look_facts *f)
             blur(l, scale[i], rows[i], scale[i], three_scale_taps, 4, 1);
         scale_tint(l->stage[l->stages - 1].weight, f, i);
     }
-    l->glow = sum_of(l, scale, scales, l->bright);
+    glow_of(l, f, scale, scales);
 }
 
 static void down_13(struct look_list *l, int src, int dst, bool legacy)
@@ -251,10 +381,8 @@ static void jimenez(struct look_list *l, const struct look_facts *f)
     double half[5];
     int mip[JIMENEZ_MIPS + 1], spare[JIMENEZ_MIPS + 1];
     gaussian(half, 4, 1.8);
-    const int full = load(l, f, false);
-    mip[0] = l->bright = half_image(l, full);
+    mip[0] = bright_of_half(l, f);
     spare[0] = same_image(l, mip[0]);
-    resample(l, full, -1, mip[0])->curve = true;
     for (unsigned i = 1; i <= JIMENEZ_MIPS; i++) {
         mip[i] = half_image(l, mip[i - 1]);
         spare[i] = same_image(l, mip[i]);
@@ -265,7 +393,7 @@ static void jimenez(struct look_list *l, const struct look_facts *f)
     int sum = mip[JIMENEZ_MIPS];
     for (unsigned i = JIMENEZ_MIPS; i-- > 0; sum = spare[i])
         tent_up(l, sum, i ? mip[i] : -1, spare[i]);
-    l->glow = sum;
+    glow_of(l, f, &sum, 1);
 }
 
 static void airy_eight(struct look_list *l, const struct look_facts *f)
@@ -275,15 +403,14 @@ static void airy_eight(struct look_list *l, const struct look_facts *f)
     gaussian(half, 5, 2);
     for (unsigned i = 1; i <= AIRY_HALVINGS; i++)
         sum += pow(airy_darken, i);
-    l->bright = load(l, f, true);
-    for (unsigned i = 0; i < AIRY_HALVINGS; i++) {
-        const int from = i ? image[i - 1] : l->bright;
-        image[i] = half_image(l, from);
-        set_weight(resample(l, from, -1, image[i]), airy_darken);
+    image[0] = half_of_bright(l, f, airy_darken);
+    for (unsigned i = 1; i < AIRY_HALVINGS; i++) {
+        image[i] = half_image(l, image[i - 1]);
+        set_weight(resample(l, image[i - 1], -1, image[i]), airy_darken);
     }
     for (unsigned i = 0; i < AIRY_HALVINGS; i++)
         set_weight(blur(l, image[i], same_image(l, image[i]), image[i], half, 5, 1), 1 / sum);
-    l->glow = sum_of(l, image, AIRY_HALVINGS, l->bright);
+    glow_of(l, f, image, AIRY_HALVINGS);
 }
 
 /* ---- numbers ------------------------------------------------------------------------------------------- */
@@ -307,67 +434,6 @@ static void set_curve(struct look_list *l, const struct look_facts *f)
     l->numbers[3] = (float)(t - k);
 }
 
-static bool power_of_2(float v) { return v == 0 || frexpf(v, &(int){ 0 }) == .5f; }
-
-// Roundings that one stage puts on a value: all numbers are >= 0, so each is a share 2^-24 of the value itself.
-static double roundings(const struct look_list *l, const struct look_stage *s)
-{
-    if (s->kind == LOOK_LOAD_MATTE || s->kind == LOOK_LOAD)
-        return s->src >= 0 ? 3 : 0; // the matte's two products, and emission's own
-    if (s->kind == LOOK_SUN)
-        return 8; // of exp(-u) in u: 3 roundings times u exp(-u) < .4; the series, the weight, the sum
-    bool whole = true, exact = true;
-    for (unsigned i = 0; i < s->taps; i++) {
-        whole = whole && s->tap[i].dx == floorf(s->tap[i].dx) && s->tap[i].dy == floorf(s->tap[i].dy);
-        exact = exact && power_of_2(s->tap[i].weight);
-    }
-    const bool same = l->image[s->src].width == l->image[s->dst].width && l->image[s->src].height == l->image[s->dst].height;
-    double n = same && whole ? 0 : 6; // a position's rest, its product and the sum, for each axis
-    n += exact ? 0 : 2;
-    n += s->taps > 1 ? (s->taps + 3) / 4 - 1 + 2 : 0;
-    for (unsigned c = 0; c < 3; c++)
-        if (!power_of_2(s->weight[c]))
-            return n + 2 + (s->add >= 0);
-    return n + (s->add >= 0);
-}
-
-// Before the curve a rounding is a share of the sample, and the curve's slope makes it more; after it, a share of the glow.
-static void count_roundings(struct look_list *l, const struct look_facts *f)
-{
-    double before[LOOK_IMAGES_MAX] = { 0 }, after[LOOK_IMAGES_MAX] = { 0 }, gain[LOOK_IMAGES_MAX] = { 0 };
-    bool lit[LOOK_IMAGES_MAX] = { false }; // past the curve
-    for (unsigned i = 0; i < l->stages; i++) {
-        const struct look_stage *s = &l->stage[i];
-        const int from = s->kind == LOOK_SAMPLE ? s->src : s->kind == LOOK_SUN ? s->add : -1;
-        double sum = 0, b = from >= 0 ? before[from] : 0, a = from >= 0 ? after[from] : 0, n = roundings(l, s);
-        for (unsigned t = 0; t < s->taps; t++)
-            sum += s->tap[t].weight;
-        sum = from < 0 || s->kind == LOOK_SUN ? 1 : sum * fmax(s->weight[0], fmax(s->weight[1], s->weight[2]));
-        double g = from >= 0 ? gain[from] * sum : 1;
-        const bool past = from >= 0 && lit[from];
-        *(past ? &a : &b) += n;
-        if (s->curve) {
-            // E = I * s(L): 3 products and sums of L, 5 of s and its product; smoothstep is 1.5 / 2TK steep at L = T(1 + K).
-            const double k = f->params->knee;
-            const double slope = l->curve != BRIGHT_SMOOTHSTEP ? 1 : k > 0 ? 1 + .75 * (1 + k) / k : 0x1p24;
-            b = (b + 8) * slope;
-        }
-        if (s->kind == LOOK_SAMPLE && s->add >= 0) {
-            b = fmax(b, before[s->add]);
-            a = fmax(a, after[s->add] + 1);
-            g += gain[s->add];
-        }
-        before[s->dst] = b;
-        after[s->dst] = a;
-        gain[s->dst] = g;
-        lit[s->dst] = past || s->curve;
-    }
-    const double most = fmax(1, gain[l->glow] * f->params->intensity);
-    // A bilinear sample by the store, its product and the sum; a display's curves round some 30 times.
-    const bool shown = f->params->display || f->params->encoding || f->params->saturation != 1;
-    l->error_bound = (before[l->glow] * most + after[l->glow] + 9 + (shown ? 32 : 0)) * 0x1p-24;
-}
-
 void look_list_make(struct look_list *l, const struct look_facts *f)
 {
     static void (*const makers[])(struct look_list *, const struct look_facts *) = {
@@ -375,10 +441,12 @@ void look_list_make(struct look_list *l, const struct look_facts *f)
     };
     assert(f->params->look > LOOK_NONE && f->params->look <= LOOK_AIRY_EIGHT);
     l->images = l->stages = 0;
-    l->matte = l->glow = l->bright = -1;
+    l->matte = -1;
+    l->glow = l->bright = l->mips = (struct look_rows){ .image = -1 };
+    l->glow_light = l->bright_light = (struct look_light){ .sums = -1 };
     set_curve(l, f);
     makers[f->params->look](l, f);
-    count_roundings(l, f);
+    look_bound(l, f);
 }
 
 int look_print(const struct params *p, uint32_t width, uint32_t height, char *out, size_t size)

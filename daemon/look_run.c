@@ -13,17 +13,20 @@ struct run {
     struct slot_target *target;
     const struct bloom_request *request;
     double exposure;
+    double scale; /* of the sums of light: none of them overflows */
+    bool black;   /* E is 0 everywhere: no stage is drawn */
     unsigned draws;
     struct fault *f;
 };
 
 /* ---- recording ------------------------------------------------------------------------------------- */
 
-static struct stage_uniforms *begin_draw(struct run *r, struct vk_draw *d)
+static struct stage_uniforms *begin_draw(struct run *r, struct vk_draw *d, const char *name)
 {
     struct look_targets *t = r->b->look;
     const struct bloom_geometry *g = &r->target->geometry;
     assert(r->draws < LOOK_DRAWS_MAX);
+    r->b->pass_name[r->draws] = name;
     d->uniforms = t->uniforms.buffer;
     d->uniforms_offset = (VkDeviceSize)r->draws++ * UNIFORM_STRIDE;
     d->uniforms_bytes = sizeof(struct stage_uniforms);
@@ -53,73 +56,107 @@ static bool same_size(const struct vk_image *a, const struct vk_image *b)
     return a->width == b->width && a->height == b->height;
 }
 
-static bool whole_texels(const struct look_stage *s)
+static struct slot_target *planes_of(const struct run *r, const struct look_stage *s)
 {
-    for (unsigned i = 0; i < s->taps; i++)
-        if (s->tap[i].dx != floorf(s->tap[i].dx) || s->tap[i].dy != floorf(s->tap[i].dy))
-            return false;
-    return true;
+    return s->kind == LOOK_LOAD_MATTE          ? &r->slot->target[r->request->matte]
+           : r->request->source >= 0           ? &r->slot->target[r->request->source]
+                                               : r->target;
 }
 
-static const char *load_name(const struct slot_target *t, bool matte)
+static const char *stage_name(const struct run *r, const struct look_stage *s)
 {
-    static const char *const name[2][2] = { { "load", "load_matte" }, { "load_half", "load_half_matte" } };
-    return name[t->geometry.type == PIXEL_TYPE_HALF][matte];
-}
-
-static const char *stage_name(const struct run *r, const struct look_stage *s, struct vk_draw *d)
-{
-    struct slot_target *from = r->target;
+    const bool half = planes_of(r, s)->geometry.type == PIXEL_TYPE_HALF;
     switch (s->kind) {
+    case LOOK_LOAD_MATTE: return half ? "load_half" : "load";
+    case LOOK_LOAD: return s->src >= 0 ? half ? "load_half_matte" : "load_matte" : half ? "load_half" : "load";
+    case LOOK_LOAD_HALF: return half ? "halve_half" : "halve";
+    case LOOK_LOAD_ROWS: return half ? "load_rows_half" : "load_rows";
     case LOOK_SAMPLE: return s->add >= 0 ? "sample_add" : "sample";
-    case LOOK_SUN: return "sun";
-    case LOOK_LOAD_MATTE: from = &r->slot->target[r->request->matte]; break;
-    case LOOK_LOAD: from = r->request->source >= 0 ? &r->slot->target[r->request->source] : r->target; break;
+    case LOOK_ROWS: return "rows";
+    case LOOK_MIX: return "mix";
+    case LOOK_SUM: return s->src >= 0 ? "sum_pixels" : "sum";
     }
-    read_planes(d, from);
-    return load_name(from, s->src >= 0);
+    return NULL;
+}
+
+static void set_taps(const struct run *r, const struct look_stage *s, struct stage_uniforms *u)
+{
+    const struct look_list *l = &r->b->look->list;
+    for (unsigned i = 0; i < s->taps; i++) {
+        u->tap[i][0] = (float)s->tap[i].dx;
+        u->tap[i][1] = (float)s->tap[i].dy;
+        u->tap[i][2] = (float)s->tap[i].weight;
+    }
+    for (unsigned i = 1; s->kind == LOOK_MIX && i < s->taps; i++) {
+        u->tap[i][0] = (float)l->mips.section[i - 1].first;
+        u->tap[i][1] = (float)l->mips.section[i - 1].height;
+    }
 }
 
 static void set_numbers(const struct run *r, const struct look_stage *s, struct stage_uniforms *u)
 {
     const struct params *p = r->request->params;
+    const struct bloom_geometry *g = &r->target->geometry;
     const float *sun = r->b->look->list.sun;
     memcpy(u->weight, s->weight, sizeof(s->weight));
-    u->dst[3] = s->kind == LOOK_LOAD_MATTE ? 1 : (int32_t)r->target->geometry.channels;
-    if (s->kind == LOOK_LOAD) {
-        // With the bloom off there is no light to glow.
-        u->weight[0] = p->bloom == SWITCH_OFF ? 0 : 1;
-        u->weight[3] = (float)p->emission;
+    // With the bloom off there is no light to glow.
+    if (s->kind == LOOK_LOAD || s->kind == LOOK_LOAD_HALF || s->kind == LOOK_LOAD_ROWS)
+        u->weight[0] *= p->bloom == SWITCH_OFF ? 0 : 1;
+    u->weight[3] = (float)p->emission;
+    if (s->kind == LOOK_SUM) {
+        const uint32_t texels = s->src >= 0 ? (uint32_t)u->src[0] : (g->width + 3) / 4, columns = (uint32_t)u->dst[0];
+        u->weight[0] = (float)r->scale;
+        u->src[2] = (int32_t)((texels + columns - 1) / columns);
     }
+    // These work at the frame's size, whatever the texels of their image.
+    if (s->kind == LOOK_ROWS || s->kind == LOOK_MIX || s->kind == LOOK_SUM) {
+        u->dst[0] = (int32_t)g->width;
+        u->dst[1] = (int32_t)g->height;
+    }
+    u->dst[2] = (int32_t)s->first;
     memcpy(u->numbers, sun, sizeof(u->numbers));
     memcpy(u->more, sun + 4, sizeof(u->more));
-    for (unsigned i = 0; i < s->taps; i++) {
-        u->tap[i][0] = s->tap[i].dx;
-        u->tap[i][1] = s->tap[i].dy;
-        u->tap[i][2] = s->tap[i].weight;
-    }
+    set_taps(r, s, u);
+}
+
+static void stage_spec(const struct run *r, const struct look_stage *s, const struct vk_draw *d, int32_t spec[4])
+{
+    const bool loads = s->kind == LOOK_LOAD_MATTE || s->kind == LOOK_LOAD || s->kind == LOOK_LOAD_HALF || s->kind == LOOK_LOAD_ROWS;
+    spec[0] = s->curve ? (int32_t)r->b->look->list.curve : 0;
+    spec[1] = s->kind == LOOK_ROWS ? d->src->width == r->target->geometry.width : s->kind == LOOK_SAMPLE && same_size(d->src, d->dst);
+    spec[2] = s->kind == LOOK_SAMPLE ? d->add && same_size(d->add, d->dst) : s->after;
+    spec[3] = loads ? (s->kind == LOOK_LOAD_MATTE ? 1 : (int32_t)r->target->geometry.channels) : s->taps ? (int32_t)s->taps : 1;
+}
+
+static VkRect2D stage_area(const struct run *r, const struct look_stage *s)
+{
+    const struct vk_image *dst = &r->b->look->image[s->dst];
+    const uint32_t height = s->kind == LOOK_ROWS ? r->b->look->image[s->src].height : dst->height;
+    return (VkRect2D){ { 0, (int32_t)s->first }, { dst->width, height } };
 }
 
 static int record_stage(struct run *r, const struct look_stage *s)
 {
     struct look_targets *t = r->b->look;
+    struct vk_image *dst = &t->image[s->dst];
     struct vk_draw d = { .src = s->src >= 0 ? &t->image[s->src] : NULL, .add = s->add >= 0 ? &t->image[s->add] : NULL,
-                         .dst = &t->image[s->dst] };
-    const char *name = stage_name(r, s, &d);
-    const int32_t spec[4] = { s->curve ? (int32_t)t->list.curve : 0,
-                              s->kind == LOOK_SAMPLE && same_size(d.src, d.dst) && whole_texels(s),
-                              s->kind == LOOK_SAMPLE && d.add && same_size(d.add, d.dst), s->taps ? (int32_t)s->taps : 1 };
-    d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_SFLOAT, 1, spec, r->f);
+                         .dst = dst };
+    const char *name = stage_name(r, s);
+    int32_t spec[4];
+    if (s->kind <= LOOK_LOAD_ROWS)
+        read_planes(&d, planes_of(r, s));
+    stage_spec(r, s, &d, spec);
+    d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_SFLOAT, dst->layers, spec, r->f);
     if (!d.pipeline)
         return -1;
-    struct stage_uniforms *u = begin_draw(r, &d);
+    struct stage_uniforms *u = begin_draw(r, &d, name);
     if (d.src)
         image_size(u->src, d.src);
     if (d.add)
         image_size(u->add, d.add);
-    image_size(u->dst, d.dst);
+    image_size(u->dst, dst);
     set_numbers(r, s, u);
-    d.area = (VkRect2D){ { 0, 0 }, { d.dst->width, d.dst->height } };
+    d.area = stage_area(r, s);
     vk_draw(&r->b->commands, &d);
     return 0;
 }
@@ -140,22 +177,28 @@ static int record_store(struct run *r, unsigned output, enum view view)
     char name[40];
     snprintf(name, sizeof(name), "store%s%s%s", g->type == PIXEL_TYPE_HALF ? "_half" : "", all ? "_all" : "",
              matte ? "_matte" : "");
-    struct vk_draw d = { .src = matte ? &t->image[t->list.matte] : NULL,
-                         .add = &t->image[view == VIEW_BRIGHT ? t->list.bright : t->list.glow] };
-    const int32_t spec[4] = { d.add->width == g->width && d.add->height == g->height, show };
+    const struct look_rows *rows = view == VIEW_BRIGHT ? &t->list.bright : &t->list.glow;
+    struct vk_draw d = { .src = matte ? &t->image[t->list.matte] : NULL, .add = &t->image[rows->image] };
+    const bool glows = !r->black && view != VIEW_SOURCE;
+    const int32_t spec[4] = { rows->section[0].height == g->height, show, glows ? (int32_t)rows->sections : 0,
+                              view > VIEW_SOURCE ? VIEW_BRIGHT : (int32_t)view }; // bright and bloom are both what `add` holds
     d.pipeline = look_pipeline(r->b, name, VK_FORMAT_R32G32B32A32_UINT, LEVEL_PHASES, spec, r->f);
     if (!d.pipeline)
         return -1;
-    struct stage_uniforms *u = begin_draw(r, &d);
+    struct stage_uniforms *u = begin_draw(r, &d, "store");
     image_size(u->add, d.add);
     const int32_t dst[4] = { (int32_t)g->width, (int32_t)g->height, (int32_t)slot->groups, (int32_t)g->channels };
     memcpy(u->dst, dst, sizeof(dst));
-    const int32_t mode[4] = { p->nonfinite, (int32_t)view, p->display, p->encoding };
+    const int32_t mode[4] = { p->nonfinite, 0, p->display, p->encoding };
     memcpy(u->mode, mode, sizeof(mode));
     u->weight[0] = view == VIEW_BRIGHT ? 1 : (float)p->intensity;
     u->weight[3] = (float)p->emission;
     u->numbers[0] = (float)exp2(r->exposure);
     u->numbers[1] = p->look == LOOK_AIRY_EIGHT;
+    for (unsigned i = 0; i < rows->sections; i++) {
+        u->tap[i][0] = (float)rows->section[i].first;
+        u->tap[i][1] = (float)rows->section[i].height;
+    }
     read_planes(&d, slot);
     for (unsigned i = 0; i < LEVEL_PHASES; i++)
         d.dst_each[i] = slot_output(slot, output, i);
@@ -182,8 +225,10 @@ static int record(struct run *r)
     if (r->request->matte >= 0)
         slot_copy(r->b, r->slot, &r->slot->target[r->request->matte], true);
     for (unsigned i = 0; i < l->stages; i++)
-        if (record_stage(r, &l->stage[i]) < 0)
+        if ((!r->black || l->stage[i].kind == LOOK_LOAD_MATTE) && record_stage(r, &l->stage[i]) < 0)
             return -1;
+    if (!r->black && look_energy_record(r->b, r->f) < 0)
+        return -1;
     for (unsigned i = 0; i < slot_outputs(r->target); i++)
         if (record_store(r, i, output_view(p, i)) < 0)
             return -1;
@@ -220,18 +265,22 @@ static int check(const struct run *r)
     return 0;
 }
 
-// Nothing glows: every curve is 0 at or below its foot, and no sample exceeds the largest of the frame.
-static bool dark(const struct run *r)
+static double most_light(const struct run *r)
+{
+    const struct frame_scan *scan = r->request->source >= 0 ? r->request->source_scan : r->request->scan;
+    return r->b->look->list.curve == BRIGHT_CHANNEL ? frame_scan_max_channel(scan) : frame_scan_max_luma(scan);
+}
+
+// E is 0: every curve is at or below its foot, and no sample exceeds the largest of the frame.
+static bool black(const struct run *r)
 {
     const struct params *p = r->request->params;
-    const struct look_list *l = &r->b->look->list;
-    const struct frame_scan *scan = r->request->source >= 0 ? r->request->source_scan : r->request->scan;
-    if (p->bloom == SWITCH_OFF || p->intensity == 0)
+    if (p->bloom == SWITCH_OFF)
         return true;
     if (p->look == LOOK_MIP_CHAIN && p->sun_spec.given && p->sun_spec.gain > 0)
         return false;
-    const double most = l->curve == BRIGHT_CHANNEL ? frame_scan_max_channel(scan) : frame_scan_max_luma(scan);
-    return most == 0 || (r->request->matte < 0 && most <= l->foot);
+    const double most = most_light(r);
+    return most == 0 || (r->request->matte < 0 && most <= r->b->look->list.foot);
 }
 
 static bool untouched(const struct run *r)
@@ -243,7 +292,7 @@ static bool untouched(const struct run *r)
         return false;
     if (p->view_spec.view == VIEW_SOURCE)
         return true;
-    return p->view_spec.view == VIEW_FINAL && !displays(p) && dark(r);
+    return p->view_spec.view == VIEW_FINAL && !displays(p) && (r->black || p->intensity == 0);
 }
 
 static double now_ms(void)
@@ -279,7 +328,11 @@ int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struc
     const struct params *p = request->params;
     if (check(&r) < 0 || look_targets_create(b, f) < 0)
         return -1;
+    b->look->runs++;
     make_list(&r);
+    r.black = black(&r);
+    // Up to 2^16 pixels of 1e38 and a look's gain are added in floats.
+    r.scale = most_light(&r) > 1e20 ? 0x1p-40 : 1;
     if (untouched(&r)) {
         reply->untouched = true;
         snprintf(reply->plan, sizeof(reply->plan), "untouched: look %s adds nothing to this frame", look_name(p->look));
@@ -295,5 +348,10 @@ int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struc
     snprintf(reply->storage, sizeof(reply->storage), "float");
     reply->levels = b->look->list.images;
     reply->error_bound = b->look->list.error_bound;
+    if (!r.black) {
+        double glow = 0;
+        look_energy(b, r.target->geometry.height, r.scale, &reply->energy_bright, &glow);
+        reply->energy_bloomed = p->intensity * glow;
+    }
     return 0;
 }

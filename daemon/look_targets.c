@@ -38,6 +38,7 @@ void look_destroy(struct bloom *b, struct look_targets *t)
     clear_images(&b->vk, t);
     vk_arena_free(&b->vk, &t->memory);
     vk_buffer_free(&b->vk, &t->uniforms);
+    vk_buffer_free(&b->vk, &t->sums);
     for (unsigned i = 0; i < t->pipelines; i++)
         vk_pipeline_destroy(&b->vk, &t->pipeline[i].pipeline);
     free(t);
@@ -47,7 +48,8 @@ static bool same_images(const struct look_targets *t)
 {
     bool same = t->made && t->images == t->list.images;
     for (unsigned i = 0; same && i < t->images; i++)
-        same = t->image[i].width == t->list.image[i].width && t->image[i].height == t->list.image[i].height;
+        same = t->image[i].width == t->list.image[i].width && t->image[i].height == t->list.image[i].height &&
+               t->image[i].layers == t->list.image[i].layers;
     return same;
 }
 
@@ -93,7 +95,7 @@ int look_targets_prepare(struct bloom *b, struct fault *f)
             fault_set(f, FAULT_LIMIT, "input", "%u x %u pixels: a look takes frames up to %u x %u here", w, h, most, most);
             goto fail;
         }
-        if (vk_image_create(v, &t->image[i], VK_FORMAT_R32G32B32A32_SFLOAT, w, h, 1, false, f) < 0 ||
+        if (vk_image_create(v, &t->image[i], VK_FORMAT_R32G32B32A32_SFLOAT, w, h, t->list.image[i].layers, false, f) < 0 ||
             place(v, &p, i, &t->image[i], f) < 0)
             goto fail;
     }
@@ -118,6 +120,21 @@ static const struct spirv_entry *find(const char *name)
     return NULL;
 }
 
+// The device is idle between runs, so a pipeline of an earlier one may go.
+static unsigned free_place(struct bloom *b, struct look_targets *t)
+{
+    unsigned at = 0;
+    if (t->pipelines < LOOK_PIPELINES_MAX)
+        return t->pipelines++;
+    for (unsigned i = 1; i < LOOK_PIPELINES_MAX; i++)
+        if (t->pipeline[i].used < t->pipeline[at].used)
+            at = i;
+    assert(t->pipeline[at].used < t->runs);
+    vk_pipeline_destroy(&b->vk, &t->pipeline[at].pipeline);
+    t->pipeline[at].name = NULL;
+    return at;
+}
+
 const struct vk_pipeline *look_pipeline(struct bloom *b, const char *name, VkFormat format, unsigned attachments,
                                         const int32_t spec[4], struct fault *f)
 {
@@ -125,12 +142,15 @@ const struct vk_pipeline *look_pipeline(struct bloom *b, const char *name, VkFor
     const struct spirv_entry *s = find(name);
     assert(s);
     for (unsigned i = 0; i < t->pipelines; i++)
-        if (t->pipeline[i].name == s->name && !memcmp(t->pipeline[i].spec, spec, sizeof(t->pipeline[i].spec)))
+        if (t->pipeline[i].name == s->name && !memcmp(t->pipeline[i].spec, spec, sizeof(t->pipeline[i].spec))) {
+            t->pipeline[i].used = t->runs;
             return &t->pipeline[i].pipeline;
-    assert(t->pipelines < LOOK_PIPELINES_MAX);
-    if (vk_pipeline_create(&b->vk, &t->pipeline[t->pipelines].pipeline, s->words, s->bytes, format, attachments, spec, 4, f) < 0)
+        }
+    const unsigned at = free_place(b, t);
+    if (vk_pipeline_create(&b->vk, &t->pipeline[at].pipeline, s->words, s->bytes, format, attachments, spec, 4, f) < 0)
         return NULL;
-    memcpy(t->pipeline[t->pipelines].spec, spec, sizeof(t->pipeline[0].spec));
-    t->pipeline[t->pipelines].name = s->name;
-    return &t->pipeline[t->pipelines++].pipeline;
+    memcpy(t->pipeline[at].spec, spec, sizeof(t->pipeline[0].spec));
+    t->pipeline[at].name = s->name;
+    t->pipeline[at].used = t->runs;
+    return &t->pipeline[at].pipeline;
 }

@@ -83,5 +83,12 @@ for matte in "" _matte; do
 done
 one sample stage.frag -DSAMPLE
 one sample_add stage.frag -DSAMPLE -DADD
-one sun stage.frag -DSUN
+one rows stage.frag -DROWS
+one mix stage.frag -DMIX
+one sum stage.frag -DSUM
+one sum_pixels stage.frag -DSUM -DPIXELS
+for half in "" _half; do
+    one halve$half stage.frag -DLOAD_HALF ${half:+-DHALF}
+    one load_rows$half stage.frag -DLOAD_ROWS ${half:+-DHALF}
+done
 finish spirv_look.h spirv_look_table

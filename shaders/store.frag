@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #extension GL_GOOGLE_include_directive : require
 // The last stage of a look: composite, display and view (METHODS section 1, steps 7 to 9) into a slot's output planes, 4 rows
-// of a texel's pixels a fragment. `add` is the glow (view bright: E), of any size. Where it adds exactly 0, and where the input
+// of a texel's pixels a fragment. `add` is the glow (view bright: E) as rows, the sum of its sections. Where it adds exactly 0, and where the input
 // is not finite (nonfinite=keep), the input's bits are handed on.
 // Drawn in one band a channel, planes[0] this channel's; -D ALL: in one band, every channel at hand, for saturation.
 // -D HALF: 8 halfs in a texel, else 4 floats. -D MATTE: src is the matte.
@@ -13,15 +13,16 @@ layout(location = 0) out uvec4 out0;
 layout(location = 1) out uvec4 out1;
 layout(location = 2) out uvec4 out2;
 layout(location = 3) out uvec4 out3;
-layout(constant_id = 0) const int ADD_TEXELS = 0; // add has the frame's size
+layout(constant_id = 0) const int ADD_TEXELS = 0; // a section has the frame's height
 layout(constant_id = 1) const int DISPLAY = 0;
+layout(constant_id = 2) const int SECTIONS = 1; // 0: no glow
+layout(constant_id = 3) const int VIEW = 0;     // 0 final, 1 source, 2 what `add` holds
 
 #ifdef MATTE
 layout(rgba32f, set = 0, binding = 0) uniform readonly image2D src;
 #endif
-layout(rgba32f, set = 0, binding = 1) uniform readonly image2D add;
+layout(rgba32f, set = 0, binding = 1) uniform readonly image2DArray add;
 layout(rgba32ui, set = 0, binding = 2) uniform readonly uimage2D planes[3];
-BILINEAR(add_bilinear, add)
 
 // enum view
 const int FINAL = 0, SOURCE = 1;
@@ -45,8 +46,6 @@ uint packed(float v) { return floatBitsToUint(clamp(v, -MOST, MOST)); }
 // Up to the tone map, and the glow where it comes after that.
 float shown(float scene, float glow)
 {
-    if (DISPLAY == 0)
-        return scene + glow;
     bool after = stage.numbers.y != 0.0;
     float v = clamp((after ? scene : scene + glow) * stage.numbers.x, 0.0, FLOAT_MAX);
     v = tone_map(v, stage.mode.z);
@@ -56,27 +55,45 @@ float shown(float scene, float glow)
 // One sample: the input's bits, its glow or E, the scene's factor, and with ALL what saturation made of it.
 uint stored(uint bits, float glow, float factor, float display)
 {
-    bool bad = bad_bits(bits), keep = stage.mode.x != 1;
-    float scene = bad ? 0.0 : value_of(bits) * factor;
-    if (stage.mode.y == SOURCE)
-        return bad && keep || !bad && factor == 1.0 ? bits : packed(scene);
-    if (stage.mode.y != FINAL)
+    bool bad = bad_bits(bits), same;
+    float scene = bad ? 0.0 : value_of(bits) * factor, v;
+    // Chosen by constants and selects: a return in the middle costs more than what it saves.
+    if (VIEW == SOURCE) {
+        v = scene;
+        same = !bad && factor == 1.0;
+    } else if (VIEW != FINAL) {
         return packed(glow);
-    if (bad && keep || DISPLAY == 0 && !bad && glow == 0.0 && factor == 1.0)
-        return bits;
+    } else if (DISPLAY == 0) {
+        v = scene + glow;
+        same = !bad && glow == 0.0 && factor == 1.0;
+    } else {
 #ifdef ALL
-    return packed(encoded(display, stage.mode.w));
+        v = encoded(display, stage.mode.w);
 #else
-    float v = shown(scene, glow);
-    return packed(DISPLAY == 0 ? v : encoded(v, stage.mode.w));
+        v = encoded(shown(scene, glow), stage.mode.w);
 #endif
+        same = false;
+    }
+    uint made = packed(v);
+    return same || bad && stage.mode.x != 1 ? bits : made;
 }
 
-vec3 glow_at(ivec2 at)
+// Four pixels of a row of the frame.
+vec4 glow_of(int texel, int row, int layer)
 {
-    at = min(at, stage.dst.xy - 1);
-    vec4 g = ADD_TEXELS == 1 ? imageLoad(add, at) : add_bilinear(at, stage.add.xy, stage.dst.xy, vec2(0.0));
-    return min(g.rgb * stage.weight.x, FLOAT_MAX);
+    vec4 sum = vec4(0.0);
+    [[unroll]] for (int i = 0; i < SECTIONS; i++) {
+        int low, high, first = int(stage.tap[i].x);
+        float near, far;
+        if (ADD_TEXELS == 1) {
+            sum += imageLoad(add, ivec3(texel, first + row, layer));
+        } else {
+            along(row, int(stage.tap[i].y), stage.dst.y, 0, low, high, near, far);
+            sum += imageLoad(add, ivec3(texel, first + low, layer)) * near + imageLoad(add, ivec3(texel, first + high, layer)) * far;
+        }
+    }
+    // Never Inf: Inf times a weight of 0 would be NaN.
+    return min(min(sum, FLOAT_MAX) * stage.weight.x, FLOAT_MAX);
 }
 
 float factor_at(ivec2 at)
@@ -104,16 +121,25 @@ uvec4 line(ivec2 q, int row, int block)
 #else
     uvec4 own = imageLoad(planes[0], q);
 #endif
-    for (int i = 0; i < WIDE; i++) {
+    vec4 glow_own[WIDE / 4];
+    [[unroll]] for (int i = 0; i < WIDE / 4; i++)
+        glow_own[i] = glow_of(q.x * (WIDE / 4) + i, row, block);
+#ifdef ALL
+    vec4 glow_all[3][WIDE / 4];
+    [[unroll]] for (int c = 0; c < 3; c++)
+        [[unroll]] for (int i = 0; i < WIDE / 4; i++)
+            glow_all[c][i] = glow_of(q.x * (WIDE / 4) + i, row, c);
+#endif
+    [[unroll]] for (int i = 0; i < WIDE; i++) {
         ivec2 at = ivec2(q.x * WIDE + i, row);
-        vec3 glow = glow_at(at);
         float factor = factor_at(at), display = 0.0;
 #ifdef ALL
+        vec3 glow = vec3(glow_all[0][i >> 2][i & 3], glow_all[1][i >> 2][i & 3], glow_all[2][i >> 2][i & 3]);
         vec3 scene = scene_of(bits_of(in_r, i), bits_of(in_g, i), bits_of(in_b, i), factor);
         vec3 v = vec3(shown(scene.r, glow.r), shown(scene.g, glow.g), shown(scene.b, glow.b));
         display = saturated(v, stage.luma.rgb, stage.luma.w)[block];
 #endif
-        u[i] = stored(bits_of(own, i), glow[block], factor, display);
+        u[i] = stored(bits_of(own, i), glow_own[i >> 2][i & 3], factor, display);
     }
     uvec4 r;
     [[unroll]] for (int i = 0; i < 4; i++)
@@ -130,7 +156,7 @@ void main()
     ivec2 at = ivec2(gl_FragCoord.xy);
     int block = at.y / stage.dst.z, group = at.y - block * stage.dst.z;
     uvec4 rows[4];
-    [[dont_unroll]] for (int p = 0; p < 4; p++) {
+    [[unroll]] for (int p = 0; p < 4; p++) {
         int row = min(4 * group + p, stage.dst.y - 1);
         rows[p] = line(ivec2(at.x, row), row, block);
     }
