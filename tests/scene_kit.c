@@ -312,9 +312,14 @@ static void final_interval(const struct judge *j, size_t i, unsigned c, double *
         slack[u] = j->bound + (k > 0 ? 1e-6 * (fabs(scene[u]) / k + glow[u] + bright[u]) : 0);
     }
     for (unsigned corner = 0; corner < 1u << j->f->channels; corner++) {
-        for (unsigned u = 0; u < j->f->channels; u++)
-            v[u] = glow[u] + (corner >> u & 1 ? slack[u] : -slack[u]);
-        reference_final(out, scene, bright, v, j->f->channels, j->f->luma, j->p);
+        double base[3] = { 0 };
+        for (unsigned u = 0; u < j->f->channels; u++) {
+            const double sign = corner >> u & 1 ? 1 : -1;
+            v[u] = glow[u] + sign * slack[u];
+            // Without intensity no glow stands for the rounding of the scene.
+            base[u] = scene[u] + (k > 0 ? 0 : sign * 1e-6 * fabs(scene[u]));
+        }
+        reference_final(out, base, bright, v, j->f->channels, j->f->luma, j->p);
         // Below 0 after the tone map (a glow short by its bound) an encoding has no value: black.
         const double o = isnan(out[c]) ? 0 : out[c];
         *low = fmin(*low, o - 1e-6 * fabs(o));
