@@ -318,6 +318,9 @@ static void final_interval(const struct judge *j, size_t i, unsigned c, double *
             v[u] = glow[u] + sign * slack[u];
             // Without intensity no glow stands for the rounding of the scene.
             base[u] = scene[u] + (k > 0 ? 0 : sign * 1e-6 * fabs(scene[u]));
+            // A denormal may be flushed; an encoding makes that 1e-20.
+            if (sign < 0 && fabs(scene[u]) < 0x1p-126)
+                base[u] = 0;
         }
         reference_final(out, base, bright, v, j->f->channels, j->f->luma, j->p);
         // Below 0 after the tone map (a glow short by its bound) an encoding has no value: black.

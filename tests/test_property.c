@@ -172,7 +172,7 @@ struct text {
     size_t len;
 };
 
-static void append(struct text *t, const char *format, ...)
+__attribute__((format(printf, 2, 3))) static void append(struct text *t, const char *format, ...)
 {
     va_list args;
     va_start(args, format);
