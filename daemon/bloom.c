@@ -134,7 +134,7 @@ static bool changes_anyway(const struct frame *fr)
     const struct params *p = fr->params;
     const bool zeroes = p->nonfinite == NONFINITE_ZERO && (s->nan || s->positive_inf || s->negative_inf);
     const enum view view = p->view_spec.view;
-    if (view == VIEW_BRIGHT || view == VIEW_BLOOM || view == VIEW_LEVEL)
+    if (view == VIEW_BRIGHT || view == VIEW_BLOOM || view == VIEW_LEVEL || (view == VIEW_RESIDUAL && p->bloom == SWITCH_ON))
         return true;
     return zeroes || (fr->matte && p->emission != 1) || (view == VIEW_FINAL && displays(p));
 }
@@ -167,6 +167,9 @@ static int record_pictures(struct frame *fr, bool dark)
 {
     const struct params *p = fr->params;
     struct spread have = { 0 };
+    // Whatever is shown, a kernel's ledger is counted while it is spread.
+    if (fr->fft && !dark && find_spread(fr, &(struct view_spec){ VIEW_BLOOM, 0 }, &have) < 0)
+        return -1;
     for (unsigned i = 0; i < fr->target->geometry.outputs; i++) {
         const struct view_spec *view = i ? &p->layer[i - 1] : &p->view_spec;
         if (i == 0 && dark && !changes_anyway(fr))

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // bloom_fft.c - the spread by FFT on the host (convolve.h): E is read back at full size, its glow is put where the pyramid
 // would have put its full-size sum, and the pictures are made from it as ever.
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -73,13 +72,15 @@ void fft_destroy(struct bloom *b)
 
 double fft_bound(const struct frame *fr) { return convolver_bound(fr->b->convolver); }
 
-// The phases' rows are interleaved by the copy itself.
+// The phases' rows are interleaved by the copy itself; in one command, for the validation layer takes a strided copy for all
+// that lies between its rows.
 static void copy_rows(struct frame *fr, struct vk_image *m, const struct block *k, unsigned channel, unsigned phases,
                       unsigned layer, uint32_t first_row, uint32_t rows, bool up)
 {
     struct vk_commands *c = &fr->b->commands;
-    for (unsigned p = 0; p < phases; p++) {
-        const VkBufferImageCopy copy = {
+    VkBufferImageCopy copy[LEVEL_PHASES];
+    for (unsigned p = 0; p < phases; p++)
+        copy[p] = (VkBufferImageCopy){
             .bufferOffset = k->offset + channel * block_bytes(k) + (VkDeviceSize)p * k->texels * 16,
             .bufferRowLength = phases * k->texels,
             .bufferImageHeight = rows,
@@ -87,11 +88,10 @@ static void copy_rows(struct frame *fr, struct vk_image *m, const struct block *
             .imageOffset = { 0, (int32_t)first_row, 0 },
             .imageExtent = { k->texels, rows, 1 },
         };
-        if (up)
-            vkCmdCopyBufferToImage(c->buffer, fr->b->exchange.buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
-        else
-            vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, fr->b->exchange.buffer, 1, &copy);
-    }
+    if (up)
+        vkCmdCopyBufferToImage(c->buffer, fr->b->exchange.buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, phases, copy);
+    else
+        vkCmdCopyImageToBuffer(c->buffer, m->image, VK_IMAGE_LAYOUT_GENERAL, fr->b->exchange.buffer, phases, copy);
 }
 
 static double sum_rows(const float *from, size_t stride, uint32_t width, uint32_t height)
@@ -123,13 +123,13 @@ static int convolve(struct frame *fr, const struct block *from, const struct blo
     fr->sums = (struct ledger_sums){ 0 };
     for (unsigned c = 0; c < t->geometry.channels; c++) {
         const double bright = sum_rows(e[c], e_stride, t->geometry.width, t->geometry.height);
-        const double spread = bright * fr->params->psf_spec.weight; // all of it: what does not fit the frame is lost
+        const double spread = bright * fr->params->psf_spec.weight; // what an image has beyond the frame is lost, too
         fr->sums.bright += bright;
         fr->sums.spread += spread;
         fr->sums.inside += sum_rows(out[c] + grow * stride + grow, stride, t->geometry.width,
                                      t->geometry.height);
     }
-    fr->sums.outside = fmax(0, fr->sums.spread - fr->sums.inside); // but for rounding
+    fr->sums.outside = fr->sums.spread - fr->sums.inside;
     return 0;
 }
 

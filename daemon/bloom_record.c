@@ -527,5 +527,6 @@ int dirt_upload(struct frame *fr, const struct bloom_image *image)
         .imageExtent = { image->width, image->height, 1 },
     };
     vkCmdCopyBufferToImage(b->commands.buffer, b->exchange.buffer, b->dirt.image, VK_IMAGE_LAYOUT_GENERAL, 1, &copy);
-    return 0;
+    // Once an image: fft_spread may make the exchange buffer anew, or write it, in the same frame.
+    return vk_submit_and_wait(&b->commands, fr->f) < 0 ? -1 : vk_begin(&b->commands, fr->f);
 }

@@ -139,7 +139,8 @@ void main()
             bool bad = nonfinite(floatBitsToUint(base));
             // A view of the glow alone has nothing of the scene to keep.
             bool keeps = VIEW == VIEW_FINAL || VIEW == VIEW_SOURCE || VIEW == VIEW_RESIDUAL;
-            bool keep = keeps && (bad ? pass.mode.y != 1 : value == base);
+            // Displayed, a denormal below 0 is no 0 to be handed on.
+            bool keep = keeps && (bad ? pass.mode.y != 1 : !DISPLAY && value == base);
 #ifdef HALF
             uint shift = uint(i & 1) * 16u;
             uint bits = keep ? (own_bits[p][i >> 1] >> shift) & 0xffffu : half_bits(value);

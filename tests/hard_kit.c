@@ -2,6 +2,7 @@
 // hard_kit.c - see hard_kit.h.
 #include "hard_kit.h"
 
+#include <float.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -22,6 +23,17 @@ static bool validate;
 
 /* ---- figures --------------------------------------------------------------------------------------- */
 
+// A comma in a device's name or a text is no separator.
+static void csv_field(FILE *f, const char *text)
+{
+    const bool quoted = strpbrk(text, ",\"\n") != NULL;
+    if (quoted)
+        fputc('"', f);
+    for (; *text; text++)
+        fputs((char[3]){ *text, *text == '"' ? '"' : 0 }, f);
+    fputs(quoted ? "\"," : ",", f);
+}
+
 static void csv_line(unsigned number, const char *what, const char *rule, double value, double limit, const char *unit)
 {
     const char *path = getenv("AIRY_HARD_CSV");
@@ -32,9 +44,13 @@ static void csv_line(unsigned number, const char *what, const char *rule, double
         return;
     if (ftell(f) == 0)
         fprintf(f, "case,what,rule,figure,limit,unit\n");
+    char on[320];
     // Which device, only where there is a choice.
-    fprintf(f, "%u,%s%s%s,%s,%.6g,", number, what, devices > 1 ? " on " : "", devices > 1 ? bloom_device(hard_engine)->name : "",
-            rule, value);
+    snprintf(on, sizeof(on), "%s%s%s", what, devices > 1 ? " on " : "", devices > 1 ? bloom_device(hard_engine)->name : "");
+    fprintf(f, "%u,", number);
+    csv_field(f, on);
+    csv_field(f, rule);
+    fprintf(f, "%.6g,", value);
     if (isfinite(limit))
         fprintf(f, "%.6g", limit);
     fprintf(f, ",%s\n", unit);
@@ -46,7 +62,7 @@ void figure(unsigned number, const char *what, const char *rule, double value, d
     char text[64] = "reported";
     if (isfinite(limit))
         snprintf(text, sizeof(text), "limit %.3g", limit);
-    print_message("case %u: %-44s %-4s %-10.4g %s (%s)\n", number, what, rule, value, unit, text);
+    print_message("case %u: %-52s %-4s %-10.4g %s (%s)\n", number, what, rule, value, unit, text);
     csv_line(number, what, rule, value, limit, unit);
     if (!(value <= limit))
         fail_msg("case %u: %s %s: %.6g %s, at most %.6g expected", number, what, rule, value, unit, limit);
@@ -69,6 +85,45 @@ double hard_ratio(struct scene *s, const struct params *p)
 double hard_glow(const struct scene *s, const struct params *p, unsigned c, size_t i)
 {
     return (s->out[0][c][i] - s->plane[c][i]) / p->intensity;
+}
+
+size_t hard_count(const struct scene *s) { return (size_t)s->width * s->height; }
+
+void hard_fill(struct scene *s, double v)
+{
+    for (unsigned c = 0; c < s->channels; c++)
+        for (size_t i = 0; i < hard_count(s); i++)
+            s->plane[c][i] = v;
+}
+
+double *hard_copy(const double *v, size_t n)
+{
+    double *copy = malloc(n * sizeof(*copy));
+    assert_non_null(copy);
+    return memcpy(copy, v, n * sizeof(*copy));
+}
+
+double hard_relative(const double *a, const double *b, size_t n)
+{
+    double worst = 0;
+    for (size_t i = 0; i < n; i++)
+        if (a[i] != b[i])
+            worst = fmax(worst, fabs(a[i] - b[i]) / fmax(fabs(b[i]), DBL_MIN));
+    return worst;
+}
+
+void hard_border(struct scene *s)
+{
+    for (unsigned y = 0; y < s->height; y++)
+        for (unsigned x = 0; x < s->width; x++)
+            if (x == 0 || y == 0 || x == s->width - 1 || y == s->height - 1)
+                s->plane[0][y * s->width + x] = 1 + 100 * scene_uniform();
+}
+
+double *hard_output(struct scene *s, const struct params *p)
+{
+    hard_run(s, p);
+    return hard_copy(s->out[0][0], hard_count(s));
 }
 
 /* ---- devices --------------------------------------------------------------------------------------- */

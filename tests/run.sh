@@ -41,7 +41,7 @@ run() { # label command...
     fi
 }
 
-for t in psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers exr_grow exr_bad raw engine look kernel convolve hard hard_slide property sched \
+for t in psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers exr_grow exr_bad raw engine look kernel convolve hard hard_slide hard_picture hard_kernel property sched \
     asset libairy_asset server server_assets server_life server_frames server_looks; do
     [ -e tests/test_$t.c ] && AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
 done
@@ -56,7 +56,7 @@ for t in psf plan frame params params_check reference reference_pipeline wire co
     asset libairy_asset server server_assets server_life server_frames server_looks; do
     [ -e tests/test_$t.c ] && AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
 done
-for t in engine look kernel convolve hard hard_slide sched; do
+for t in engine look kernel convolve hard hard_slide hard_picture hard_kernel sched; do
     run "asan-$t" $keep "$A/tests/test_$t"
 done
 run asan-property $keep AIRY_SCENES=60 "$A/tests/test_property"

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // scene_kit.c - see scene_kit.h.
 #include "scene_kit.h"
+#include "scene_kernel.h"
 
 #include <math.h>
 #include <setjmp.h>
@@ -66,6 +67,7 @@ void scene_finish(struct scene *s)
     }
     free(s->matte);
     free(s->dirt);
+    free(s->kernel);
     clear_out(s);
     frame_scan_finish(&s->scan);
     frame_scan_finish(&s->source_scan);
@@ -86,6 +88,20 @@ void scene_add_dirt(struct scene *s, unsigned width, unsigned height)
     s->dirt_height = height;
     s->dirt = calloc((size_t)width * height * 3, sizeof(float));
     assert_non_null(s->dirt);
+}
+
+void scene_add_kernel(struct scene *s, unsigned width, unsigned height)
+{
+    const size_t n = (size_t)width * height * 3;
+    free(s->kernel);
+    s->kernel_width = width;
+    s->kernel_height = height;
+    s->kernel = calloc(n, sizeof(float));
+    assert_non_null(s->kernel);
+    for (size_t i = 0; i < n; i++)
+        s->kernel[i] = (float)(0.01 + scene_uniform());
+    for (unsigned i = 0; i < 4; i++)
+        snprintf(s->kernel_digest + 8 * i, 9, "%08x", (uint32_t)(scene_uniform() * 0x1p32));
 }
 
 void scene_fill(struct scene *s)
@@ -211,6 +227,8 @@ void scene_run(struct scene *s, const struct params *p, struct bloom *b, unsigne
     // A name of its own for every run: the engine keeps what it has seen by name.
     static unsigned runs;
     snprintf(dirt.digest, sizeof(dirt.digest), "%032x", ++runs);
+    struct bloom_image kernel = { .width = s->kernel_width, .height = s->kernel_height, .rgb = s->kernel };
+    memcpy(kernel.digest, s->kernel_digest, sizeof(kernel.digest));
     struct bloom_request r = { .params = p,
                                .scan = &s->scan,
                                .source = s->source[0] ? 1 : -1,
@@ -219,6 +237,7 @@ void scene_run(struct scene *s, const struct params *p, struct bloom *b, unsigne
                                .matte_scan = s->matte ? &s->matte_scan : NULL,
                                .depth = -1,
                                .dirt = s->dirt ? &dirt : NULL,
+                               .kernel = s->kernel ? &kernel : NULL,
                                .pixel_aspect = (float)s->aspect,
                                .display_width = s->display_width };
     memcpy(r.luma, s->luma, sizeof(r.luma));
@@ -293,13 +312,17 @@ static void final_interval(const struct judge *j, size_t i, unsigned c, double *
         slack[u] = j->bound + (k > 0 ? 1e-6 * (fabs(scene[u]) / k + glow[u] + bright[u]) : 0);
     }
     for (unsigned corner = 0; corner < 1u << j->f->channels; corner++) {
-        for (unsigned u = 0; u < j->f->channels; u++)
-            v[u] = glow[u] + (corner >> u & 1 ? slack[u] : -slack[u]);
-        // Without glow to carry it, the arithmetic's share is the scene's.
-        double at[3];
-        for (unsigned u = 0; u < 3; u++)
-            at[u] = k > 0 ? scene[u] : scene[u] * (1 + (corner >> u & 1 ? 1e-6 : -1e-6));
-        reference_final(out, at, bright, v, j->f->channels, j->f->luma, j->p);
+        double base[3] = { 0 };
+        for (unsigned u = 0; u < j->f->channels; u++) {
+            const double sign = corner >> u & 1 ? 1 : -1;
+            v[u] = glow[u] + sign * slack[u];
+            // Without intensity no glow stands for the rounding of the scene.
+            base[u] = scene[u] + (k > 0 ? 0 : sign * 1e-6 * fabs(scene[u]));
+            // A denormal may be flushed; an encoding makes that 1e-20.
+            if (sign < 0 && fabs(scene[u]) < 0x1p-126)
+                base[u] = 0;
+        }
+        reference_final(out, base, bright, v, j->f->channels, j->f->luma, j->p);
         // Below 0 after the tone map (a glow short by its bound) an encoding has no value: black.
         const double o = isnan(out[c]) ? 0 : out[c];
         *low = fmin(*low, o - 1e-6 * fabs(o));
@@ -320,6 +343,9 @@ static double room_of(const struct judge *j, const struct view_spec *view, size_
         if (plain_add(j->p))
             return j->bound * j->p->intensity + matte;
         final_interval(j, i, c, &low, &high);
+        // Black that may be black: how far below it the glow would have put it cannot be seen.
+        if (got == 0 && low <= 0)
+            return INFINITY;
         return got < want ? want - low : high - want;
     case VIEW_SOURCE: return matte;
     case VIEW_BRIGHT:
@@ -375,7 +401,7 @@ static void compare_ledger(const struct judge *j, struct scene_verdict *v)
             lit += isfinite(s) && s > 0 ? s * (j->f->matte ? fmax(1, j->p->emission) : 1) : 0;
         }
     for (unsigned c = 0; c < j->f->channels; c++) {
-        double w = 0;
+        double w = j->p->psf_spec.kind == PSF_GAUSSIANS ? 0 : j->p->psf_spec.weight;
         for (unsigned i = 0; i < j->p->psf_spec.count; i++)
             w += reference_weight(j->f, j->p, i, c);
         weight = fmax(weight, w);
@@ -409,19 +435,33 @@ static void compare_exposure(const struct scene *s, const struct params *p, cons
     ledger_entry(v, "exposure", s->reply.exposure, ev, !p->exposure_auto ? 0 : near_edges ? .126 : 1e-5);
 }
 
+void scene_truth(struct reference_result *r, const struct scene *s, const struct reference_frame *f,
+                 const struct params *p)
+{
+    struct params used = *p;
+    const bool kernel = p->psf_spec.kind != PSF_GAUSSIANS;
+    if (kernel)
+        used.psf_spec = (struct psf_spec){ .kind = PSF_GAUSSIANS };
+    assert_int_equal(reference_bloom(r, f, &used), 0);
+    if (!kernel || p->bloom == SWITCH_OFF)
+        return;
+    scene_kernel_spread(r, s, f, &p->psf_spec);
+    reference_take_glow(r, f, p, p->psf_spec.weight);
+}
+
 void scene_compare(const struct scene *s, const struct params *p, struct scene_verdict *v)
 {
     *v = (struct scene_verdict){ 0 };
     double *dirt = NULL, *want[3] = { NULL };
     const struct reference_frame f = scene_reference(s, &dirt);
     struct params used = *p;
-    if (ENGINE_HAS_AUTO || p->exposure_auto) {
-        compare_exposure(s, p, &f, v);
+    compare_exposure(s, p, &f, v);
+    if (p->exposure_auto) {
         used.exposure = s->reply.exposure; // a stop's rounding is not the glow's error
         used.exposure_auto = false;
     }
     struct reference_result r;
-    assert_int_equal(reference_bloom(&r, &f, &used), 0);
+    scene_truth(&r, s, &f, &used);
     v->max_bright = r.max_bright;
     const struct judge j = { s, &used, &f, &r, s->reply.error_bound * r.max_bright };
     for (unsigned c = 0; c < s->channels; c++)

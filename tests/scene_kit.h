@@ -10,23 +10,6 @@
 #include "bloom.h"
 #include "reference.h"
 
-/* What the engine of this tree can do beyond Gaussians: tests of a feature that it lacks are not run. */
-#define ENGINE_HAS_BLOOM_OFF 1
-#define ENGINE_HAS_STOPS 1
-#define ENGINE_HAS_AUTO 1   /* exposure=auto */
-#define ENGINE_HAS_SOURCE 1 /* source, matte, emission */
-#define ENGINE_HAS_FIREFLY 1
-#define ENGINE_HAS_CLAMP 1
-#define ENGINE_HAS_TINTS 1 /* tints, near, far */
-#define ENGINE_HAS_MM 1
-#define ENGINE_HAS_DIRT 1
-#define ENGINE_HAS_MIX 1 /* composites but add */
-#define ENGINE_HAS_FILL 1
-#define ENGINE_HAS_GROW 1
-#define ENGINE_HAS_DISPLAY 1
-#define ENGINE_HAS_VIEWS 1 /* view, layers */
-#define ENGINE_HAS_STORAGE 1
-
 struct scene {
     unsigned width, height, channels;
     enum pixel_type type;
@@ -37,6 +20,9 @@ struct scene {
     double *source[3], *matte; /* scene_add_source, scene_add_matte; NULL: none */
     unsigned dirt_width, dirt_height;
     float *dirt; /* interleaved R G B; NULL: none */
+    unsigned kernel_width, kernel_height;
+    float *kernel; /* of psf=image: interleaved R G B; NULL: none */
+    char kernel_digest[33];
     unsigned outputs;
     /* After a run. */
     double *out[BLOOM_OUTPUTS_MAX][3]; /* (width + 2 grow) x (height + 2 grow) */
@@ -55,10 +41,12 @@ void scene_finish(struct scene *s); /* what scene_init and the adders made */
 void scene_add_source(struct scene *s);
 void scene_add_matte(struct scene *s);
 void scene_add_dirt(struct scene *s, unsigned width, unsigned height);
+/* Random numbers, none of them the same turned or mirrored; kernel_digest gets a random name. */
+void scene_add_kernel(struct scene *s, unsigned width, unsigned height);
 /* Dark ground with noise, some lamps over five decades, a bright block that touches a corner. */
 void scene_fill(struct scene *s);
 
-/* One Gaussian sum; threshold 1, knee .5, intensity 1. */
+/* A psf in params' own words; threshold 1, knee .5, intensity 1. */
 struct params scene_params(const char *psf, enum bright_curve curve, double tolerance);
 
 /* Puts the planes into the slot and scans them. */
@@ -67,6 +55,11 @@ void scene_load(struct scene *s, struct bloom *b, unsigned slot);
 void scene_run(struct scene *s, const struct params *p, struct bloom *b, unsigned slot);
 /* The frame that scene s is, for the reference; *dirt (may be NULL when s has none) is the caller's to free. */
 struct reference_frame scene_reference(const struct scene *s, double **dirt);
+
+/* What *f should become: the reference, and for a psf that is no sum of Gaussians a dense convolution of its E with the kernel that
+ * daemon/kernel.h draws. *r is reference_free's. */
+void scene_truth(struct reference_result *r, const struct scene *s, const struct reference_frame *f,
+                 const struct params *p);
 
 /* What the output type itself rounds off: half an ulp of the pixel. */
 double scene_quantum(enum pixel_type type, double v);

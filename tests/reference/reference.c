@@ -555,6 +555,24 @@ int reference_bloom(struct reference_result *r, const struct reference_frame *f,
     return 0;
 }
 
+void reference_take_glow(struct reference_result *r, const struct reference_frame *f, const struct params *p,
+                         double weight)
+{
+    struct params used = *p;
+    long double inside = 0, all = 0;
+    used.exposure = r->exposure;
+    for (unsigned c = 0; c < f->channels; c++) {
+        for (size_t i = 0; i < pixels(f); i++) {
+            inside += r->glow[c][grown(f, r, i)];
+            all += (long double)weight * r->bright[c][grown(f, r, i)];
+        }
+        apply_dirt(r->glow[c], r, f, &used, c);
+    }
+    r->energy_bloomed = (double)(inside * p->intensity);
+    r->energy_lost = (double)((all - inside) * p->intensity);
+    composite_all(r, f, &used);
+}
+
 int reference_view(double *const out[3], const struct reference_result *r, const struct reference_frame *f,
                    const struct params *p, const struct view_spec *view)
 {

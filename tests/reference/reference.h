@@ -7,7 +7,7 @@
  * Input: 1 or 3 planes of width x height doubles, row after row, no padding: the layer I of METHODS. Beside it, when
  * given: a source S of the same shape, a matte M of one plane, a dirt image D. "sanitised" v is v when finite and > 0, else 0.
  *
- * Only psfs that are sums of Gaussians; the others are test_convolve's.
+ * Only psfs that are sums of Gaussians; of the others the caller makes B, and hands it to reference_take_glow.
  *
  * 1. SANITISE. For the glow a NaN, an Inf or a negative sample counts as 0: it alone, not its pixel. The
  *    output sample of a nonfinite input sample is that sample, unchanged (keep), or 0 + glow (zero), or
@@ -114,6 +114,10 @@ struct reference_result {
  * reference_free's then, too. */
 int reference_bloom(struct reference_result *r, const struct reference_frame *f, const struct params *p);
 void reference_free(struct reference_result *r);
+/* For a psf that is no sum of Gaussians: *r is reference_bloom's of the same f and p, but with a psf of no Gaussians, and glow[c] has
+ * got the spread E of r->bright, weight included. Makes sections 5's ledger and dirt, and 6 and 7 of it. weight: the psf's. */
+void reference_take_glow(struct reference_result *r, const struct reference_frame *f, const struct params *p,
+                         double weight);
 /* A view of what reference_bloom made of the same f and p, into out[channels] of r's size. 0 or -1 (no memory, no such
  * Gaussian). */
 int reference_view(double *const out[3], const struct reference_result *r, const struct reference_frame *f,
