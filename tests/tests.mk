@@ -14,7 +14,7 @@ $(T)/%.o $(BUILD)/tests/%.o: CPPFLAGS += -Itests -Itests/reference -Itests/tools
 $(T)/test_reference $(T)/test_reference_pipeline: $(T)/reference/reference.o
 $(T)/test_engine $(T)/test_hard $(T)/test_hard_slide $(T)/test_property: $(T)/reference/reference.o $(T)/scene_kit.o
 $(T)/test_hard $(T)/test_hard_slide: $(T)/hard_kit.o
-$(T)/test_look: $(T)/reference/reference_look.o
+$(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
 $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
