@@ -147,6 +147,7 @@ void ledger_sum(const struct ledger *l, const struct plan *p, const struct targe
 struct named_pipeline {
     char name[40];
     int32_t spec;
+    uint64_t used; /* in which recording, last */
     struct vk_pipeline pipeline;
 };
 
@@ -176,6 +177,7 @@ struct bloom {
     struct vk_commands commands;
     struct vk_buffer uniforms;
     unsigned passes; /* recorded so far in this frame */
+    uint64_t recordings;
     const char *pass_name[PASSES_MAX];
     struct targets targets;
     struct ledger ledger;

@@ -17,6 +17,22 @@ static const struct spirv_entry *spirv_find(const char *name)
 
 static bool starts(const char *name, const char *with) { return !strncmp(name, with, strlen(with)); }
 
+// A free place, or that of the pipeline which no recording has used for longest. (Views, displays and mattes make more variants than
+// anybody needs at once; a recording itself has at most PASSES_MAX draws of far fewer pipelines than there are places.)
+static struct named_pipeline *place_for(struct bloom *b)
+{
+    if (b->pipelines < PIPELINES_MAX)
+        return &b->pipeline[b->pipelines];
+    struct named_pipeline *oldest = &b->pipeline[0];
+    for (unsigned i = 1; i < PIPELINES_MAX; i++)
+        if (b->pipeline[i].used < oldest->used)
+            oldest = &b->pipeline[i];
+    assert(oldest->used < b->recordings);
+    vk_pipeline_destroy(&b->vk, &oldest->pipeline);
+    oldest->name[0] = '\0';
+    return oldest;
+}
+
 const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t spec, const char *format, ...)
 {
     char name[40];
@@ -25,11 +41,13 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
     vsnprintf(name, sizeof(name), format, args);
     va_end(args);
     for (unsigned i = 0; i < b->pipelines; i++)
-        if (b->pipeline[i].spec == spec && !strcmp(b->pipeline[i].name, name))
+        if (b->pipeline[i].spec == spec && !strcmp(b->pipeline[i].name, name)) {
+            b->pipeline[i].used = b->recordings;
             return &b->pipeline[i].pipeline;
+        }
     const struct spirv_entry *s = spirv_find(name);
-    assert(s && b->pipelines < PIPELINES_MAX);
-    struct named_pipeline *p = &b->pipeline[b->pipelines];
+    assert(s);
+    struct named_pipeline *p = place_for(b);
     const bool picture = starts(name, "composite") || starts(name, "develop");
     const bool layered = starts(name, "bright") || starts(name, "extract");
     const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2) : LEVEL_PHASES;
@@ -44,7 +62,9 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
         return NULL;
     snprintf(p->name, sizeof(p->name), "%s", name);
     p->spec = spec;
-    b->pipelines++;
+    p->used = b->recordings;
+    if (p == &b->pipeline[b->pipelines])
+        b->pipelines++;
     return &p->pipeline;
 }
 

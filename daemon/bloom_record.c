@@ -479,6 +479,7 @@ int record_begin(struct frame *fr)
     if (vk_begin(&b->commands, fr->f) < 0)
         return -1;
     b->passes = 0;
+    b->recordings++;
     slot_copy(b, fr->slot, fr->target, true);
     if (fr->source != fr->target)
         slot_copy(b, fr->slot, fr->source, true);

@@ -311,7 +311,7 @@ static void displays_finite(void)
 // Cases 3, 6 and 8 with half storage: scaled, so that nothing overflows and the bound holds.
 static void half_storage(void)
 {
-    static const double levels[] = { 1e-30, 1e-6, 1, 6e4, 1e6, 1e37 };
+    static const double levels[] = { 1e-26, 1e-6, 1, 6e4, 1e6, 1e37 };
     for (unsigned k = 0; k < 6; k++) {
         char what[64];
         struct params p = scene_params("gaussians:sigma=2.7/8/20,weight=.3/.3/.3", BRIGHT_NONE, 3e-2);

@@ -15,10 +15,10 @@ $(T)/test_reference $(T)/test_reference_pipeline: $(T)/reference/reference.o
 HARD_TESTS := $(filter $(T)/test_hard%,$(TESTS))
 $(T)/test_engine $(HARD_TESTS) $(T)/test_property: $(T)/reference/reference.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(HARD_TESTS): $(T)/hard_kit.o
-$(T)/test_look: $(T)/reference/reference_look.o
+$(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
 $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
-	$(T)/reference/reference.o $(T)/reference/reference_look.o
+	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
