@@ -60,6 +60,8 @@ help:
 	@echo "make check    build and pass the tests (installs what is missing, about 10 minutes)"
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
+	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
+	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
 	@echo "make deps     install the Debian packages that are missing (root or sudo)"
 	@echo "make clean    remove build/"
