@@ -66,7 +66,8 @@ AIRYD=$S/airyd run tsan-server_looks env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadl
 for t in conn libairy libairy_request libairy_asset asset exr server server_assets server_life server_frames; do
     [ -e tests/test_$t.c ] && AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" "$S/tests/test_$t"
 done
-run tsan-sched env LD_PRELOAD=libvulkan_lvp.so "$S/tests/test_sched"
+# The driver's compiler holds more locks at once than the deadlock detector can count (its own CHECK fails).
+run tsan-sched env LD_PRELOAD=libvulkan_lvp.so TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0 "$S/tests/test_sched"
 
 echo "$passed passed, $failed failed, $skipped skipped"
 [ "$failed" -eq 0 ]
