@@ -232,8 +232,8 @@ void report_json_status(const struct airy_status *s)
 /* "-": no glow, and yet not untouched (a matte, a display transform). */
 static bool has_glow(const struct airy_target *t) { return strcmp(t->rule, "-") != 0; }
 
-/* A stated psf's; looks keep none. */
-static bool has_ledger(const struct airy_target *t)
+/* A stated psf; else a look, whose bound is of another size, and which loses no light at borders. */
+static bool is_psf(const struct airy_target *t)
 {
     return (t->rule[0] == 'R' && t->rule[1] >= '0' && t->rule[1] <= '9') || strcmp(t->rule, "fft") == 0;
 }
@@ -272,12 +272,17 @@ static void target_paragraph(struct progress *p, const struct airy_target *t)
     progress_line(p, "    plan     %s%s%s", t->plan, *t->storage ? "; stored as " : "", t->storage);
     if (*t->skipped)
         progress_line(p, "    skipped  %s", t->skipped);
-    if (has_glow(t))
+    if (has_glow(t) && is_psf(t))
         progress_line(p, "    error    <= %.2g x intensity x %.4g (the brightest that glows), at every pixel of the glow",
                       t->error_bound, t->max_bright);
-    if (has_ledger(t))
+    else if (has_glow(t))
+        progress_line(p, "    error    <= %.2g x the frame's largest value, at every pixel in linear light", t->error_bound);
+    if (has_glow(t) && is_psf(t))
         progress_line(p, "    energy   %.4g in, %.4g bright, %.4g bloomed, %.4g lost at the borders",
                       t->energy_input, t->energy_bright, t->energy_bloomed, t->energy_lost);
+    else if (has_glow(t))
+        progress_line(p, "    energy   %.4g in, %.4g bright, %.4g bloomed", t->energy_input, t->energy_bright,
+                      t->energy_bloomed);
     else
         progress_line(p, "    energy   %.4g in", t->energy_input);
     if (t->energy_clamped > 0 || t->energy_suppressed > 0)
