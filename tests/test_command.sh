@@ -253,7 +253,7 @@ t() {
     for look in half-gaussian mip-chain three-scale jimenez airy-eight; do
         takes --look $look && says "plan     $look:" && exits 0 plan "$work/in.exr" --look $look && prints "plan     $look:" || return 1
     done
-    why="a ledger that no look keeps" && exits 0 bloom "$work/in.exr" "$work/o/out.exr" --look jimenez --radius 1 --legacy-gain on &&
+    why="a look with its light, and nothing lost" && exits 0 bloom "$work/in.exr" "$work/o/out.exr" --look jimenez --radius 1 --legacy-gain on &&
         grep -q 'bright, ' "$work/err" && ! grep -q 'lost at' "$work/err" && takes --look three-scale --kawase 2 --stages 6 --tint 1:.5:.2 &&
         takes --look mip-chain --sun x=50%,y=20%,radius=5%
 }
