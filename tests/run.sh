@@ -77,10 +77,12 @@ serve() {
     for t in $pure; do
         AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
     done
-    for t in conn libairy libairy_request libairy_asset asset exr server server_assets server_life server_frames; do
-        AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" "$S/tests/test_$t"
+    for t in conn libairy libairy_request libairy_asset asset exr; do
+        run "tsan-$t" "$S/tests/test_$t"
     done
-    AIRYD=$S/airyd run tsan-server_looks $many_locks "$S/tests/test_server_looks"
+    for t in server server_assets server_life server_frames server_looks; do
+        AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" $many_locks "$S/tests/test_$t"
+    done
     run tsan-sched $many_locks LD_PRELOAD=libvulkan_lvp.so "$S/tests/test_sched"
 }
 
