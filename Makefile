@@ -57,7 +57,7 @@ say = $(if $(V),,@echo "  $(1)")
 
 help:
 	@echo "make demo     build, start the daemon, bloom an HDR frame through the socket -> build/demo/"
-	@echo "make check    build and pass the tests (installs what is missing, about 10 minutes)"
+	@echo "make check    build and pass the tests (installs what is missing, 10 to 20 minutes)"
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
