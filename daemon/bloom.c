@@ -103,7 +103,7 @@ static int prepare_targets(struct frame *fr)
 
 /* ---- a frame --------------------------------------------------------------------------------------- */
 
-static double now_ms(void)
+double bloom_now_ms(void)
 {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
@@ -122,11 +122,6 @@ static void log_profile(struct bloom *b)
     }
 }
 
-static bool displays(const struct params *p)
-{
-    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
-}
-
 // Whether the picture differs from the input though nothing glows.
 static bool changes_anyway(const struct frame *fr)
 {
@@ -136,7 +131,7 @@ static bool changes_anyway(const struct frame *fr)
     const enum view view = p->view_spec.view;
     if (view == VIEW_BRIGHT || view == VIEW_BLOOM || view == VIEW_LEVEL || (view == VIEW_RESIDUAL && p->bloom == SWITCH_ON))
         return true;
-    return zeroes || (fr->matte && p->emission != 1) || (view == VIEW_FINAL && displays(p));
+    return zeroes || (fr->matte && p->emission != 1) || (view == VIEW_FINAL && params_display(p));
 }
 
 /* The spread that the pool holds now, so that pictures of the same one share it. */
@@ -239,12 +234,10 @@ static bool all_skipped(const struct frame *fr)
 // Nothing is spread: why, in the reply.
 static void dark_reply(const struct frame *fr, struct bloom_reply *r)
 {
-    const char *why = r->max_bright == 0 ? "no pixel is above the threshold"
-                      : fr->params->bloom == SWITCH_OFF ? "bloom=off"
+    const char *why = fr->params->bloom == SWITCH_OFF ? "bloom=off"
+                      : r->max_bright == 0 ? "no pixel is above the threshold"
                       : all_skipped(fr) ? "the glow stays below half of the output's smallest step"
                                         : "the glow has no weight";
-    if (fr->params->bloom == SWITCH_OFF)
-        why = "bloom=off";
     r->untouched = !changes_anyway(fr);
     snprintf(r->skipped, sizeof(r->skipped), "the spread: %s", why);
     snprintf(r->plan, sizeof(r->plan), "%s: %s", r->untouched ? "untouched" : "no glow", why);
@@ -319,11 +312,11 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     fr.source = request.source >= 0 ? &s->target[request.source] : fr.target;
     fr.scan = request.source >= 0 ? request.source_scan : request.scan;
     struct bloom_reply r = { 0 };
-    const double start = now_ms();
+    const double start = bloom_now_ms();
     if (check_request(&fr) < 0)
         return -1;
     fr.exposure = fr.params->exposure;
-    const bool exposed = fr.params->bloom == SWITCH_ON || displays(fr.params);
+    const bool exposed = fr.params->bloom == SWITCH_ON || params_display(fr.params);
     if (fr.params->exposure_auto && exposed && meter_exposure(&fr, &fr.exposure) < 0)
         return -1;
     r.exposure = fr.exposure;
@@ -350,7 +343,7 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     if ((!r.untouched || fr.target->geometry.outputs > 1) && run_frame(&fr, dark, &r) < 0)
         return -1;
     if (!r.untouched)
-        r.device_ms = now_ms() - start;
+        r.device_ms = bloom_now_ms() - start;
     *reply = r;
     return 0;
 }

@@ -294,6 +294,7 @@ int dirt_upload(struct frame *fr, const struct bloom_image *image);
 
 /* SPIR-V of the full-screen triangle. */
 const uint32_t *pipeline_vertex(size_t *bytes);
+double bloom_now_ms(void); /* CLOCK_MONOTONIC */
 /* Finds or builds the pipeline of a shader variant. NULL and *f on failure. */
 const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t spec, const char *format,
                                        ...) __attribute__((format(printf, 4, 5)));

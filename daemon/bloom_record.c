@@ -355,11 +355,6 @@ int record_spread(struct frame *fr, int only, struct round *r)
 
 /* ---- pictures ------------------------------------------------------------------------------------ */
 
-static bool displays(const struct params *p)
-{
-    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
-}
-
 static bool has_dirt(const struct frame *fr) { return fr->request->dirt && fr->params->dirt_gain > 0; }
 
 static int32_t develop_features(const struct frame *fr, const struct view_spec *view, bool glow)
@@ -368,7 +363,7 @@ static int32_t develop_features(const struct frame *fr, const struct view_spec *
     const bool final = view->view == VIEW_FINAL;
     int32_t features = (int32_t)view->view;
     if (final)
-        features |= p->composite << 3 | p->display << 5 | p->encoding << 7 | (p->saturation != 1) << 9 | displays(p) << 15;
+        features |= p->composite << 3 | p->display << 5 | p->encoding << 7 | (p->saturation != 1) << 9 | params_display(p) << 15;
     features |= fr->matte ? 1024 | (fr->matte->geometry.type == PIXEL_TYPE_HALF ? 2048 : 0) : 0;
     features |= glow && has_dirt(fr) ? 4096 : 0;
     features |= glow ? 8192 : 0;
@@ -380,7 +375,7 @@ static int32_t develop_features(const struct frame *fr, const struct view_spec *
 bool is_plain_picture(const struct frame *fr, const struct view_spec *view)
 {
     const struct params *p = fr->params;
-    return view->view == VIEW_FINAL && !displays(p) && p->composite != COMPOSITE_MIX && !fr->matte && !has_dirt(fr);
+    return view->view == VIEW_FINAL && !params_display(p) && p->composite != COMPOSITE_MIX && !fr->matte && !has_dirt(fr);
 }
 
 static void set_dirt(const struct frame *fr, struct pass_uniforms *u)

@@ -3,7 +3,6 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
 
 #include "look_internal.h"
 
@@ -161,18 +160,13 @@ static int record_stage(struct run *r, const struct look_stage *s)
     return 0;
 }
 
-static bool displays(const struct params *p)
-{
-    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
-}
-
 static int record_store(struct run *r, unsigned output, enum view view)
 {
     struct look_targets *t = r->b->look;
     const struct params *p = r->request->params;
     struct slot_target *slot = r->target;
     const struct bloom_geometry *g = &slot->geometry;
-    const bool show = view == VIEW_FINAL && displays(p), matte = t->list.matte >= 0;
+    const bool show = view == VIEW_FINAL && params_display(p), matte = t->list.matte >= 0;
     const bool all = show && p->saturation != 1 && g->channels == 3;
     char name[40];
     snprintf(name, sizeof(name), "store%s%s%s", g->type == PIXEL_TYPE_HALF ? "_half" : "", all ? "_all" : "",
@@ -292,14 +286,7 @@ static bool untouched(const struct run *r)
         return false;
     if (p->view_spec.view == VIEW_SOURCE)
         return true;
-    return p->view_spec.view == VIEW_FINAL && !displays(p) && (r->black || p->intensity == 0);
-}
-
-static double now_ms(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (double)t.tv_sec * 1e3 + (double)t.tv_nsec * 1e-6;
+    return p->view_spec.view == VIEW_FINAL && !params_display(p) && (r->black || p->intensity == 0);
 }
 
 static void make_list(struct run *r)
@@ -339,10 +326,10 @@ int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struc
         snprintf(reply->rule, sizeof(reply->rule), "-");
         return 0;
     }
-    const double start = now_ms();
+    const double start = bloom_now_ms();
     if (look_targets_prepare(b, f) < 0 || record(&r) < 0 || vk_submit_and_wait(&b->commands, f) < 0)
         return -1;
-    reply->device_ms = now_ms() - start;
+    reply->device_ms = bloom_now_ms() - start;
     look_print(p, r.target->geometry.width, r.target->geometry.height, reply->plan, sizeof(reply->plan));
     snprintf(reply->rule, sizeof(reply->rule), "%.7s", look_name(p->look));
     snprintf(reply->storage, sizeof(reply->storage), "float");

@@ -112,6 +112,11 @@ bool params_has(const struct params *p, const char *name);
  *   airy-eight     channel     1          -     1          1                        screen-add
  * Exposure and display stay as asked: an EXR comes out scene-linear by default, with a look too. */
 void params_look_defaults(struct params *p);
+/* Is anything of the display transform (METHODS section 1, step 8) asked for? */
+static inline bool params_display(const struct params *p)
+{
+    return p->display != DISPLAY_NONE || p->encoding != ENCODING_LINEAR || p->saturation != 1;
+}
 /* Contradictions between parameters: what was given and cannot act with the look, the psf or the others; numbers that
  * exclude each other. 0, or -1 and *f (PARAM_CONFLICT naming one of them; PARAM_RANGE for kawase). */
 int params_check(const struct params *p, struct fault *f);

@@ -178,18 +178,23 @@ int vk_submit_and_wait(struct vk_commands *c, struct fault *f)
     return r == VK_SUCCESS ? 0 : vk_fault(f, r, "vkWaitSemaphores");
 }
 
+static VkResult module_create(struct vk *v, const uint32_t *spirv, size_t bytes, VkShaderModule *out)
+{
+    const VkShaderModuleCreateInfo info = {
+        .sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
+        .codeSize = bytes,
+        .pCode = spirv,
+    };
+    return vkCreateShaderModule(v->device, &info, NULL, out);
+}
+
 int vk_pipeline_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes,
                        VkFormat format, unsigned attachments, const int32_t *spec, unsigned n_spec,
                        struct fault *f)
 {
     *p = (struct vk_pipeline){ .attachments = attachments, .format = format };
-    const VkShaderModuleCreateInfo module_info = {
-        .sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
-        .codeSize = bytes,
-        .pCode = spirv,
-    };
     VkShaderModule module;
-    VkResult r = vkCreateShaderModule(v->device, &module_info, NULL, &module);
+    VkResult r = module_create(v, spirv, bytes, &module);
     if (r != VK_SUCCESS)
         return vk_fault(f, r, "vkCreateShaderModule");
 
@@ -274,13 +279,8 @@ int vk_pipeline_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spir
 int vk_compute_create(struct vk *v, struct vk_pipeline *p, const uint32_t *spirv, size_t bytes, struct fault *f)
 {
     *p = (struct vk_pipeline){ 0 };
-    const VkShaderModuleCreateInfo module_info = {
-        .sType = VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO,
-        .codeSize = bytes,
-        .pCode = spirv,
-    };
     VkShaderModule module;
-    VkResult r = vkCreateShaderModule(v->device, &module_info, NULL, &module);
+    VkResult r = module_create(v, spirv, bytes, &module);
     if (r != VK_SUCCESS)
         return vk_fault(f, r, "vkCreateShaderModule");
     const VkComputePipelineCreateInfo info = {
