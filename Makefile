@@ -13,14 +13,16 @@ CXX := $(if $(findstring clang,$(CC)),clang++,g++)
 
 # What a bare Debian 12 needs; installed by `make deps` (part of demo and check) when missing.
 PKGS_BUILD := gcc g++ pkg-config glslang-tools protobuf-c-compiler protobuf-compiler \
-	libvulkan-dev libopenexr-dev libdeflate-dev libprotobuf-c-dev libsystemd-dev libpng-dev libxxhash-dev
+	libvulkan-dev libopenexr-dev libdeflate-dev libprotobuf-c-dev libsystemd-dev libpng-dev libxxhash-dev \
+	libyaml-dev libusb-1.0-0-dev
 PKGS_RUN := mesa-vulkan-drivers
-PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev
+# umockdev: USB boards without hardware, for the unmodified daemon.
+PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev umockdev libumockdev-dev
 
 WARN := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wformat=2
 # Sanitized code is not fast anyway: build it quickly. gcc sees null pointers in what UBSan adds to sprintf.
 OPT := $(if $(SAN),-O1 -g1,-O2 -g)
-CPPFLAGS := -D_GNU_SOURCE -DAIRY_BUILD -Iproto -Idaemon -Iclient -I$(BUILD)/gen
+CPPFLAGS := -D_GNU_SOURCE -DAIRY_BUILD -Iproto -Idaemon -Idaemon/wall -Iclient -I$(BUILD)/gen
 SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-omit-frame-pointer $(if $(findstring clang,$(CC)),,-Wno-format-overflow))
 CFLAGS += -std=c11 $(OPT) $(WARN) -fPIC -fvisibility=hidden -pthread -ffp-contract=off $(SANFLAGS)
 CXXFLAGS += -std=c++17 $(OPT) -Wall -Wextra -Werror -fPIC -fvisibility=hidden -pthread $(SANFLAGS) \
@@ -28,10 +30,12 @@ CXXFLAGS += -std=c++17 $(OPT) -Wall -Wextra -Werror -fPIC -fvisibility=hidden -p
 LDFLAGS += -pthread $(SANFLAGS)
 
 pkgcflags = $(shell pkg-config --cflags $(1) 2>/dev/null | sed 's/-I/-isystem /g')
-CPPFLAGS += $(call pkgcflags,OpenEXR libprotobuf-c)
+CPPFLAGS += $(call pkgcflags,OpenEXR libprotobuf-c libusb-1.0)
 LIBS_EXR := -lOpenEXR-3_1 -lOpenEXRCore-3_1 -lIex-3_1 -lIlmThread-3_1 -lImath-3_1 -ldeflate -lstdc++
 LIBS_ENGINE := -lvulkan
 LIBS_PROTO := -lprotobuf-c
+LIBS_WALL := -lusb-1.0
+LIBS_WALLDEF := -lyaml -lpng -lm
 
 # ---- rooms: one archive each, dependencies one way -------------------------------------------
 ROOM_proto := $(wildcard proto/*.c)
@@ -40,11 +44,14 @@ ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c daemon/kernel*.c daemon/l
 	daemon/convolve.c daemon/fft.c daemon/crew.c
 ROOM_params := $(wildcard daemon/params*.c)
 ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
+# Of the wall, what is arithmetic on its definition: the airy command uses it, too.
+ROOM_walldef := $(wildcard daemon/wall/wall_def*.c daemon/wall/wall_layout*.c daemon/wall/wall_draw*.c)
+ROOM_wall := $(filter-out $(ROOM_walldef),$(wildcard daemon/wall/*.c))
 ROOM_client := $(wildcard client/lib*.c)
 
 obj = $(patsubst %.c,$(BUILD)/%.o,$(1))
 PROTO_GEN := $(BUILD)/gen/airy.pb-c.c
-ARCHIVES := $(foreach r,proto exr engine params server client,$(BUILD)/$(r).a)
+ARCHIVES := $(foreach r,proto exr engine params wall walldef server client,$(BUILD)/$(r).a)
 
 # `make V=1` shows the commands.
 Q := $(if $(V),,@)
@@ -113,16 +120,18 @@ $(BUILD)/proto.a: $(call obj,$(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 $(BUILD)/exr.a: $(call obj,$(ROOM_exr)) $(patsubst %.cc,$(BUILD)/%.o,$(wildcard daemon/exr*.cc))
 $(BUILD)/engine.a: $(call obj,$(ROOM_engine))
 $(BUILD)/params.a: $(call obj,$(ROOM_params))
+$(BUILD)/walldef.a: $(call obj,$(ROOM_walldef))
+$(BUILD)/wall.a: $(call obj,$(ROOM_wall))
 $(BUILD)/server.a: $(call obj,$(ROOM_server))
 $(BUILD)/client.a: $(call obj,$(ROOM_client))
 $(ARCHIVES):
 	@rm -f $@
 	$(Q)ar rcs $@ $^
 
-DAEMON_LIBS := $(BUILD)/server.a $(BUILD)/engine.a $(BUILD)/exr.a $(BUILD)/params.a $(BUILD)/proto.a
+DAEMON_LIBS := $(BUILD)/server.a $(BUILD)/wall.a $(BUILD)/walldef.a $(BUILD)/engine.a $(BUILD)/exr.a $(BUILD)/params.a $(BUILD)/proto.a
 $(BUILD)/airyd: $(BUILD)/daemon/main.o $(DAEMON_LIBS)
 	$(call say,LD $@)
-	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) -lsystemd -lm
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) $(LIBS_WALL) $(LIBS_WALLDEF) -lsystemd
 
 $(BUILD)/libairy.a: $(call obj,$(ROOM_client) $(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 	@rm -f $@

@@ -3,9 +3,9 @@
 
 CMD := client/main.c $(wildcard client/cmd_*.c) client/frames.c client/progress.c
 
-$(BUILD)/airy: $(call obj,$(CMD)) $(BUILD)/client.a $(BUILD)/proto.a
+$(BUILD)/airy: $(call obj,$(CMD)) $(BUILD)/client.a $(BUILD)/walldef.a $(BUILD)/proto.a
 	$(call say,LD $@)
-	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) -lm
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) $(LIBS_WALLDEF)
 
 $(BUILD)/demo/scene: $(call obj,$(addprefix client/demo/,scene.c street.c signs.c picture.c))
 	@mkdir -p $(@D)

@@ -86,6 +86,45 @@ struct bloom_image {
     char digest[33];
 };
 
+/* Auto exposure over time: stops follow what is metered, frame-rate independent. The owner keeps it between frames. */
+struct bloom_adapt {
+    bool started;
+    double stops;
+    double up_s, down_s; /* time constants; 0: at once */
+    double step_s;       /* since the frame before */
+};
+
+/*
+ * A wall's picture of a target, in place of output planes: each wall pixel is the mean of the composited frame
+ * (METHODS section 1, step 7) over its rectangle, in linear light, by area; outside the target there is no light. Then
+ * times 2^exposure, tone map, saturation (with Rec.709's luma), matrix, gain: LED's "linear drive", not yet held to 0..1.
+ * Wall pixel (i, j) covers x + i * pitch_x ... x + (i + 1) * pitch_x pixels of the target, y alike.
+ * Where the picture is plain (wall_is_direct) nothing is composited at full size: only what the wall can show is computed.
+ * The same wall pixel gets the same bits from any part of the frame that has all its light (bloom_wall_need).
+ */
+struct bloom_wall {
+    uint32_t width, height;          /* of the wall, pixels */
+    uint32_t first_x, first_y, end_x, end_y; /* the pixels that are wanted; the others stay as they are in drive */
+    double x, y, pitch_x, pitch_y;
+    uint32_t frame_width, frame_height; /* the frame that the target is a part of: sizes in % and mm mean its */
+    int32_t frame_x, frame_y;        /* of the target's first pixel in it */
+    int tone_map;                    /* enum display of params.h */
+    double saturation;
+    double matrix[3][3];
+    const float *gain;               /* [height][width][3]; NULL: all 1. Unchanged while gain_id is the same */
+    uint64_t gain_id;
+    struct bloom_adapt *adapt;       /* NULL: the request's exposure */
+    float *drive;                    /* [height][width][3]: receives the result */
+};
+
+/* Needs the target output planes (geometry.outputs = 1) for this wall, or none (0)? */
+bool bloom_wall_is_direct(const struct params *p);
+/* The part of the frame, pixels from its corner, that the wanted wall pixels' light comes from: their rectangles, the
+ * PSF's reach around them, rounded out to the cells of the coarsest level in use, cut at the frame. w: first_x ... pitch_y as
+ * for a target that is the whole frame. 0, or -1 and *f. */
+int bloom_wall_need(struct bloom *b, const struct params *p, float pixel_aspect, unsigned channels, const struct bloom_wall *w,
+                    int32_t need[4] /* x0, y0, x1, y1 */, struct fault *f);
+
 struct bloom_request {
     const struct params *params;
     const struct frame_scan *scan; /* of the target's input planes */
@@ -96,6 +135,7 @@ struct bloom_request {
     const struct frame_scan *matte_scan;
     int depth;                     /* 1 channel, FLOAT: for the sun of look mip-chain */
     const struct bloom_image *dirt, *kernel; /* NULL: none */
+    const struct bloom_wall *wall; /* NULL: output planes */
     float luma[3];
     float pixel_aspect;            /* width of a pixel over its height; > 0 */
     uint32_t display_width;        /* of the display window, for sizes in mm; 0: the target's width */

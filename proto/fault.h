@@ -32,14 +32,17 @@
     X(221, NO_LAYER, 0, 0, "the file has no such layer")                                          \
     X(222, NO_VIEW, 0, 0, "the file has no such view")                                            \
     X(223, NO_ASSET, 0, 0, "no image of this digest: send it first")                              \
+    X(224, NO_WALL, 0, 0, "no wall of this name: open it first")                                  \
     X(300, NOT_EXR, 0, 0, "the payload is not an OpenEXR file")                                   \
     X(301, EXR_DAMAGED, 0, 0, "the OpenEXR file is damaged or truncated")                         \
     X(302, EXR_TOO_LARGE, 0, 0, "the OpenEXR file is larger than the limits")                     \
     X(303, EXR_UNSUPPORTED, 0, 0, "the OpenEXR file uses what cannot be bloomed")                 \
     X(304, NONFINITE, 0, 0, "the frame has NaN or Inf and nonfinite=reject")                      \
+    X(305, WALL, 0, 0, "the wall definition has mistakes")                                        \
     X(400, BUSY, 1, 0, "too much in flight; try again")                                           \
     X(401, LIMIT, 0, 0, "the request is larger than the limits")                                  \
     X(402, NO_MEMORY, 1, 0, "out of memory")                                                      \
+    X(403, WALL_BUSY, 1, 0, "another client's frames are on this wall")                           \
     X(500, INTERNAL, 0, 0, "a fault in the daemon")                                               \
     X(501, DEVICE_LOST, 1, 0, "the Vulkan device was lost")                                       \
     X(502, SHUTTING_DOWN, 1, 0, "the daemon is stopping")

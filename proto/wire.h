@@ -41,7 +41,9 @@ enum {
     X(11, CREDIT, 'D', 0)                                                                         \
     X(12, PROGRESS, 'D', 0)                                                                       \
     X(13, ASSET, 'C', 1)                                                                          \
-    X(14, ASSET_KEPT, 'D', 0)
+    X(14, ASSET_KEPT, 'D', 0)                                                                     \
+    X(15, WALL, 'C', 0)                                                                           \
+    X(16, WALL_REPLY, 'D', 0)
 
 enum wire_type {
 #define X(number, name, who, fds) WIRE_##name = number,

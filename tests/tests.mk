@@ -6,7 +6,7 @@
 T := $(BUILD)/tests
 TESTS := $(patsubst tests/%.c,$(T)/%,$(wildcard tests/test_*.c))
 TEST_LIBS = -Wl,--start-group $(ARCHIVES) -Wl,--end-group \
-	$(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) -lsystemd -lcmocka -lm
+	$(LIBS_ENGINE) $(LIBS_EXR) $(LIBS_PROTO) $(LIBS_WALL) $(LIBS_WALLDEF) -lsystemd -lcmocka -lm
 
 $(T)/%.o $(BUILD)/tests/%.o: CPPFLAGS += -Itests -Itests/reference -Itests/tools
 
