@@ -4,6 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "cmd_options.h"
 #include "cmd_wall_asked.h"
 #include "cmd_wall_commands.h"
 #include "cmd_wall_stop.h"

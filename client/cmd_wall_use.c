@@ -185,11 +185,8 @@ static int wall_find(struct wall_use *u, const char *name, struct airy_error *e)
     return 0;
 }
 
-static int use_file(struct wall_use *u, const struct wall_file *f, const char *path, const struct session_options *o,
-                    struct airy_error *e)
+static int use_file(struct wall_use *u, const struct wall_file *f, const char *path, struct airy_error *e)
 {
-    if (session_open(&u->session, o, e) < 0)
-        return -1;
     u->hold_s = f->def->hold_s;
     u->fade_s = f->def->fade_s;
     u->ours = false;
@@ -215,8 +212,9 @@ enum cmd_exit wall_use_open(struct wall_use *u, const char *what, const struct s
                      what);
         return CMD_USAGE;
     }
-    bool ok = f.def ? use_file(u, &f, what, o, &e) == 0
+    bool ok = f.def ? session_open(&u->session, o, &e) == 0 && use_file(u, &f, what, &e) == 0
                     : wall_daemon(&u->session, o, &e) == 0 && wall_find(u, what, &e) == 0;
+    u->is_private = u->session.daemon > 0;
     if (ok && f.def && !u->ours)
         cmd_complain("%s: wall \"%s\" is open already, and used as it is (airy wall close %s first, if %s has changed)", command,
                      u->name, u->name, what);
@@ -236,14 +234,15 @@ enum cmd_exit wall_use_open(struct wall_use *u, const char *what, const struct s
 int wall_use_again(struct wall_use *u, const char *what, const struct session_options *o, struct airy_error *e)
 {
     struct wall_file f = { 0 };
-    int rc = -1;
     session_close(&u->session);
-    if (!wall_is_file(what))
-        rc = wall_daemon(&u->session, o, e) < 0 ? -1 : wall_find(u, what, e);
-    else if (wall_file_read(&f, what, u->command) == CMD_DONE)
-        rc = use_file(u, &f, what, o, e);
-    else
-        local_error(e, EINVAL, "the definition is not what it was");
+    /* While the daemon of others restarts, a private one would take its boards. */
+    int rc = u->is_private ? session_open(&u->session, o, e) : wall_daemon(&u->session, o, e);
+    if (rc == 0 && !wall_is_file(what))
+        rc = wall_find(u, what, e);
+    else if (rc == 0 && wall_file_read(&f, what, u->command) == CMD_DONE)
+        rc = use_file(u, &f, what, e);
+    else if (rc == 0)
+        rc = local_error(e, EINVAL, "the definition is not what it was");
     wall_file_finish(&f);
     if (rc < 0)
         session_close(&u->session);

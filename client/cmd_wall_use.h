@@ -18,6 +18,7 @@ struct wall_use {
     const char *command;      /* "wall play", for messages */
     char name[WALL_NAME_MAX];
     bool ours;                /* opened here: it closes with us */
+    bool is_private;          /* the daemon is */
     double rate;
     uint32_t width, height;
     double hold_s, fade_s;    /* of a file; else 0 */
