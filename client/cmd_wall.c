@@ -12,11 +12,13 @@
 #include <unistd.h>
 
 #include "cmd_options.h"
+#include "cmd_wall_commands.h"
 #include "wall_draw.h"
 
 static const struct wall_command commands[] = {
     { "check", cmd_wall_check, "every mistake of a wall definition with its line, or what it amounts to" },
     { "draw", cmd_wall_draw, "the layout as a picture: LED order, panels, boards" },
+    CMD_WALL_COMMANDS,
 };
 enum { COMMANDS = sizeof(commands) / sizeof(commands[0]) };
 
@@ -318,7 +320,7 @@ static void help(void)
     puts("airy wall - LED walls: what is where, and what is shown\n");
     for (unsigned i = 0; i < COMMANDS; i++)
         printf("  airy wall %-9s %s\n", commands[i].name, commands[i].help);
-    puts("\nairy wall SUBCOMMAND --help tells more; airy-wall(5) is the language of wall definitions.");
+    puts("\nairy wall SUBCOMMAND --help tells more, so does airy-wall(1); airy-wall(5) is the language of wall definitions.");
 }
 
 enum cmd_exit cmd_wall(int argc, char **argv)

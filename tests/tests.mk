@@ -21,7 +21,8 @@ $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
+$(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
