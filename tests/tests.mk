@@ -20,6 +20,7 @@ $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixt
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
+$(T)/test_wall_colour: $(T)/reference/reference_led.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
 $(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall: $(T)/airy_peer.o
