@@ -312,7 +312,7 @@ static int run_stated(struct frame *fr, struct bloom_reply *r)
         return -1;
     set_features(fr);
     if (fr->wall_direct)
-        fr->wall_level = wall_level(fr->b->plan, fr->wall);
+        fr->wall_level = wall_level(fr->b, fr->b->plan, fr->wall);
     const bool no_plan = fr->fft ? fr->params->psf_spec.weight == 0 : !fr->b->plan->count;
     bool dark = r->max_bright == 0 || no_plan || fr->params->intensity == 0;
     // A wall's shares must agree on what is left out.

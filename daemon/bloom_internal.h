@@ -176,9 +176,10 @@ enum { WALL_KEPT = 4, WALL_SOURCES_MAX = PARAMS_GAUSSIANS_MAX + 2 };
 struct wall_source {
     int gaussian;              /* of the plan; -1: the picture, the sum */
     unsigned level;
-    struct vk_image table[2];  /* weights: down, across (shaders/wall_rows.frag, wall_columns.frag) */
-    unsigned chunks[2];        /* of 4 weights */
-    uint32_t taps;             /* most that a sum has */
+    struct vk_image down;      /* weights, shaders/wall_rows.frag */
+    uint32_t taps_down, taps_across; /* most that a sum has */
+    unsigned chunks_across;
+    uint32_t column, texels;   /* where its rows are in wall_work.rows */
 };
 
 struct wall_work {
@@ -191,10 +192,9 @@ struct wall_work {
     unsigned sources;
     bool summed;               /* the last one is the sum */
     struct wall_source source[WALL_SOURCES_MAX];
-    struct vk_image rows;      /* a source's, channels in layers */
-    struct vk_image light[2];  /* the wall's, taken in turn */
-    unsigned now;              /* of them the one that holds the sum so far */
-    struct vk_image gain;
+    struct vk_image across;    /* weights of all sources, shaders/wall_columns.frag */
+    struct vk_image rows;      /* sources beside, channels below each other */
+    struct vk_image drive, gain;
     bool has_gain;
     uint64_t gain_id;
     struct vk_memory memory;
@@ -324,7 +324,8 @@ int fft_prepare(struct frame *fr);
 void fft_destroy(struct bloom *b);
 
 /* ---- bloom_wall.c, bloom_wall_table.c ---- */
-unsigned wall_level(const struct plan *p, const struct bloom_wall *w);
+/* Where the sum of a plan's Gaussians ends on this device. */
+unsigned wall_level(const struct bloom *b, const struct plan *p, const struct bloom_wall *w);
 /* Wall, params and target against each other. */
 int wall_check(const struct frame *fr);
 /* A direct wall's frame, from begin to drive; dark: nothing glows. */

@@ -50,11 +50,8 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
     struct named_pipeline *p = place_for(b);
     const bool picture = starts(name, "composite") || starts(name, "develop");
     const bool layered = starts(name, "bright") || starts(name, "extract");
-    const bool rows = starts(name, "wall_rows"), wall = starts(name, "wall");
-    const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2)
-                                 : rows  ? (strstr(name, "_c3") ? 3 : 1)
-                                 : wall  ? 1
-                                         : LEVEL_PHASES;
+    const bool wall = starts(name, "wall");
+    const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2) : wall ? 1 : LEVEL_PHASES;
     const int r = starts(name, "histogram")
                       ? vk_compute_create(&b->vk, &p->pipeline, s->words, s->bytes, f)
                       : vk_pipeline_create(&b->vk, &p->pipeline, s->words, s->bytes,

@@ -11,7 +11,8 @@
 
 #include "bloom_internal.h"
 
-enum { UNROLLED_MAX = 6 }; // chunks of 4 weights; beyond it a loop costs less than what the driver takes to compile
+// Loads are what a resampling costs, so few taps are unrolled to their very number; more of them in steps, for each is a pipeline.
+static int32_t unrolled(uint32_t taps) { return taps <= 12 ? (int32_t)taps : taps <= 24 ? (int32_t)(taps + 3) / 4 * 4 : 0; }
 
 bool bloom_wall_is_direct(const struct params *p)
 {
@@ -20,13 +21,24 @@ bool bloom_wall_is_direct(const struct params *p)
            !p->matte[0] && !dirt && p->edge == EDGE_ZERO && p->view_spec.view == VIEW_FINAL;
 }
 
-unsigned wall_level(const struct plan *p, const struct bloom_wall *w)
+// Columns of what is resampled, all sources beside each other.
+static double texels_of(const struct plan *p, const struct bloom_wall *w, unsigned level)
+{
+    double texels = ceil(w->frame_width / 4.0) + ldexp(w->frame_width, -2 - (int)level) + 8;
+    for (unsigned g = 0; g < p->count && p->gaussian[g].level < level; g++)
+        texels += ldexp(w->frame_width, -2 - (int)p->gaussian[g].level) + 8;
+    return texels;
+}
+
+unsigned wall_level(const struct bloom *b, const struct plan *p, const struct bloom_wall *w)
 {
     // The nearest power of 2, by ratio.
     const double pitch = fmin(w->pitch_x, w->pitch_y) * M_SQRT2;
     unsigned level = 0;
     while (level < p->levels && ldexp(2, (int)level) <= pitch)
         level++;
+    while (level > 0 && texels_of(p, w, level) > b->vk.properties.limits.maxImageDimension2D)
+        level--;
     return level;
 }
 
@@ -138,9 +150,6 @@ double bloom_adapt_stops(const struct bloom_adapt *a, double metered)
 
 /* ---- passes ------------------------------------------------------------------------------------------------- */
 
-static VkRect2D whole_of(uint32_t width, uint32_t height) { return (VkRect2D){ { 0, 0 }, { width, height } }; }
-static int32_t unrolled(unsigned chunks) { return chunks <= UNROLLED_MAX ? (int32_t)chunks : 0; }
-
 /* What one source is read from. */
 struct picture {
     const char *kind;
@@ -165,70 +174,47 @@ static void bind_picture(const struct picture *from, struct vk_draw *d, struct p
     u->frame[2] = (int32_t)t->groups;
 }
 
-// The rows of the wall, from what may be lit only.
-static int record_rows(struct frame *fr, struct wall_work *k, const struct wall_source *s, const struct picture *from)
+static int record_rows(struct frame *fr, struct wall_work *k, const struct wall_source *s, const struct picture *from,
+                       const double gain[3])
 {
-    struct vk_draw d = { .dst = &k->rows, .dirt = (struct vk_image *)&s->table[0] };
+    struct vk_draw d = { .dst = &k->rows, .dirt = (struct vk_image *)&s->down };
     const struct slot_target *t = from->planes;
-    d.pipeline = pipeline_get(fr->b, fr->f, unrolled(s->chunks[0]), "wall_rows_%s_c%u%s", from->kind, k->channels,
+    d.pipeline = pipeline_get(fr->b, fr->f, unrolled(s->taps_down), "wall_rows_%s%s", from->kind,
                               t && t->geometry.type == PIXEL_TYPE_HALF ? "_half" : "");
     if (!d.pipeline)
         return -1;
+    const uint32_t rows = fr->wall->end_y - fr->wall->first_y;
     struct pass_uniforms *u = pass_begin(fr, &d);
-    u->mode[2] = (int32_t)s->chunks[0];
-    bind_picture(from, &d, u);
-    d.area = whole_of(from->texels, k->rows.height);
-    vk_draw(&fr->b->commands, &d);
-    return 0;
-}
-
-static int record_columns(struct frame *fr, struct wall_work *k, const struct wall_source *s, uint32_t texels, const double gain[3],
-                          bool add)
-{
-    struct vk_draw d = { .src = &k->rows, .dirt = (struct vk_image *)&s->table[1], .add = add ? &k->light[k->now] : NULL };
-    d.pipeline = pipeline_get(fr->b, fr->f, unrolled(s->chunks[1]), "wall_columns_%sc%u", add ? "add_" : "", k->channels);
-    if (!d.pipeline)
-        return -1;
-    k->now = add ? !k->now : 0;
-    d.dst = &k->light[k->now];
-    struct pass_uniforms *u = pass_begin(fr, &d);
-    u->mode[2] = (int32_t)s->chunks[1];
-    u->src[0] = (int32_t)texels;
+    u->mode[2] = (int32_t)(s->down.height - 1);
+    u->mode[3] = (int32_t)rows;
+    u->frame[3] = (int32_t)s->column;
     for (unsigned c = 0; c < 3; c++)
         u->weight[c] = (float)gain[k->channels == 1 ? 0 : c];
-    d.area = whole_of(k->light[0].width, k->light[0].height);
+    bind_picture(from, &d, u);
+    d.bands = t && !from->output ? k->channels : 1;
+    d.area = (VkRect2D){ { (int32_t)s->column, 0 }, { s->texels, rows * k->channels } };
     vk_draw(&fr->b->commands, &d);
     return 0;
-}
-
-static int record_source(struct frame *fr, struct wall_work *k, const struct wall_source *s, const struct picture *from,
-                         const double gain[3], bool add)
-{
-    return record_rows(fr, k, s, from) < 0 ? -1 : record_columns(fr, k, s, from->texels, gain, add);
 }
 
 static int record_picture(struct frame *fr, struct wall_work *k, bool output)
 {
     static const double one[3] = { 1, 1, 1 };
-    const struct picture from = { .kind = output ? "output" : "input", .planes = fr->target, .output = output,
-                                  .texels = (fr->target->width + 3) / 4 };
-    return record_source(fr, k, &k->source[0], &from, one, false);
+    const struct picture from = { .kind = output ? "output" : "input", .planes = fr->target, .output = output };
+    return record_rows(fr, k, &k->source[0], &from, one);
 }
 
 static int record_finer(struct frame *fr, struct wall_work *k, const struct wall_source *s)
 {
     struct targets *t = &fr->b->targets;
     const struct plan_gaussian *g = &fr->b->plan->gaussian[s->gaussian];
-    struct picture from = { .kind = s->level ? "level" : "layered", .level = s->level ? &t->e[s->level] : &t->layered,
-                            .texels = t->level[s->level].texels, .groups = t->level[s->level].groups };
-    if (!s->level) {
-        from.texels = t->layered.width;
-        from.groups = t->layered_groups;
-    }
+    struct picture from = { "level", &t->e[s->level], .texels = t->level[s->level].texels, .groups = t->level[s->level].groups };
+    if (!s->level)
+        from = (struct picture){ "layered", &t->layered, .texels = t->layered.width, .groups = t->layered_groups };
     double gain[3];
     for (unsigned c = 0; c < 3; c++)
         gain[c] = fr->params->intensity * g->weight[c];
-    return record_source(fr, k, s, &from, gain, true);
+    return record_rows(fr, k, s, &from, gain);
 }
 
 static int record_glow(struct frame *fr, struct wall_work *k)
@@ -243,22 +229,36 @@ static int record_glow(struct frame *fr, struct wall_work *k)
     if (record_spread(fr, -1, &r) < 0)
         return -1;
     const struct level *v = &t->level[t->shape.finest];
-    const struct picture from = { .kind = "level", .level = r.sum, .texels = v->texels, .groups = v->groups };
-    const double k3 = fr->params->intensity, gain[3] = { k3, k3, k3 };
-    return record_source(fr, k, &k->source[k->sources - 1], &from, gain, true);
+    const struct picture from = { "level", r.sum, .texels = v->texels, .groups = v->groups };
+    const double by = fr->params->intensity, gain[3] = { by, by, by };
+    return record_rows(fr, k, &k->source[k->sources - 1], &from, gain);
 }
 
-// To the drive, and to where the host reads it.
-static int record_drive(struct frame *fr, struct wall_work *k)
+// The chunks of up to 3 sources, 4 bits each; 0: too many, for a loop.
+static int32_t unrolled_columns(const struct wall_work *k, unsigned sources)
+{
+    int32_t bits = 0;
+    for (unsigned i = 0; i < sources; i++) {
+        if (i >= 3 || k->source[i].chunks_across > 8 || k->source[i].chunks_across == 0)
+            return 0;
+        bits |= (int32_t)k->source[i].chunks_across << 4 * i;
+    }
+    return bits;
+}
+
+// The drive, and to where the host reads it.
+static int record_drive(struct frame *fr, struct wall_work *k, unsigned sources)
 {
     struct bloom *b = fr->b;
     const struct bloom_wall *w = fr->wall;
-    struct vk_image *to = &k->light[!k->now];
-    struct vk_draw d = { .src = &k->light[k->now], .dirt = w->gain ? &k->gain : &b->blank, .dst = to };
-    d.pipeline = pipeline_get(b, fr->f, w->tone_map | (w->saturation != 1) << 2 | (w->gain != NULL) << 3, "wall_drive");
+    struct vk_draw d = { .src = &k->rows, .add = w->gain ? &k->gain : &b->blank, .dirt = &k->across, .dst = &k->drive };
+    const int32_t features = w->tone_map | (w->saturation != 1) << 2 | (w->gain != NULL) << 3;
+    d.pipeline = pipeline_get(b, fr->f, features | unrolled_columns(k, sources) << 4, "wall_columns_c%u", k->channels);
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
+    u->mode[2] = (int32_t)sources;
+    u->mode[3] = (int32_t)k->drive.height;
     u->window[0] = (int32_t)w->first_x;
     u->window[1] = (int32_t)w->first_y;
     u->limit[3] = (float)w->saturation;
@@ -267,15 +267,15 @@ static int record_drive(struct frame *fr, struct wall_work *k)
         for (unsigned i = 0; i < 3; i++)
             u->tap[4 * c + i] = (float)w->matrix[c][i];
     }
-    d.area = whole_of(to->width, to->height);
+    d.area = (VkRect2D){ { 0, 0 }, { k->drive.width, k->drive.height } };
     vk_draw(&b->commands, &d);
-    vk_use(&b->commands, to, VK_PIPELINE_STAGE_2_COPY_BIT, VK_ACCESS_2_TRANSFER_READ_BIT, false);
+    vk_use(&b->commands, &k->drive, VK_PIPELINE_STAGE_2_COPY_BIT, VK_ACCESS_2_TRANSFER_READ_BIT, false);
     vk_flush_barriers(&b->commands);
     const VkBufferImageCopy copy = {
         .imageSubresource = { VK_IMAGE_ASPECT_COLOR_BIT, 0, 0, 1 },
-        .imageExtent = { to->width, to->height, 1 },
+        .imageExtent = { k->drive.width, k->drive.height, 1 },
     };
-    vkCmdCopyImageToBuffer(b->commands.buffer, to->image, VK_IMAGE_LAYOUT_GENERAL, k->back.buffer, 1, &copy);
+    vkCmdCopyImageToBuffer(b->commands.buffer, k->drive.image, VK_IMAGE_LAYOUT_GENERAL, k->back.buffer, 1, &copy);
     vk_to_host(&b->commands);
     return vk_submit_and_wait(&b->commands, fr->f);
 }
@@ -297,7 +297,8 @@ int wall_run(struct frame *fr, bool dark)
         return -1;
     if (!dark && record_bright(fr) < 0)
         return -1;
-    if (record_picture(fr, k, false) < 0 || (!dark && record_glow(fr, k) < 0) || record_drive(fr, k) < 0)
+    if (record_picture(fr, k, false) < 0 || (!dark && record_glow(fr, k) < 0) ||
+        record_drive(fr, k, dark ? 1 : k->sources) < 0)
         return -1;
     hand_over(fr, k);
     return 0;
@@ -312,7 +313,7 @@ int wall_run_output(struct frame *fr, bool untouched)
         fr->b->passes = 0;
         fr->b->recordings++;
     }
-    if (record_picture(fr, k, !untouched) < 0 || record_drive(fr, k) < 0)
+    if (record_picture(fr, k, !untouched) < 0 || record_drive(fr, k, 1) < 0)
         return -1;
     hand_over(fr, k);
     return 0;
@@ -327,6 +328,6 @@ double wall_rounding(const struct frame *fr)
         if (fr->b->wall[i] && fr->b->wall[i]->used == fr->b->walls_asked)
             k = fr->b->wall[i];
     for (unsigned i = 1; k && i < k->sources; i++)
-        most = fmax(most, 2.0 * (k->source[i].taps + 2) + 4 + k->sources);
+        most = fmax(most, (double)k->source[i].taps_down + k->source[i].taps_across + 8 + k->sources);
     return most * 0x1p-24;
 }

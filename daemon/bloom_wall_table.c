@@ -115,9 +115,11 @@ static void window_make(struct window *w, const struct side *s, const struct way
 
 static long begin_of(const struct window *w, const struct way *y) { return y->aligned ? w->first / 4 * 4 : w->first; }
 
-/* A table on the host: [1 + chunks][n] texels of 4. */
+/* A table on the host: [1 + chunks][n] texels of 4, of which the first of a column says where it begins (and, across, where
+ * the source's last texel is, and how many chunks there are). */
 struct table {
     unsigned chunks;
+    uint32_t column, last; /* across: of the source in wall_work.rows */
     uint32_t n, taps;
     float *texel;
 };
@@ -129,7 +131,7 @@ static int table_make(struct table *t, const struct side *s, const struct way *y
     if (!memory)
         return fault_set(f, FAULT_NO_MEMORY, "", "out of memory for a wall's weights");
     struct window w = { .v = memory, .spare = memory + room, .room = room };
-    *t = (struct table){ .n = s->end - s->first };
+    t->n = s->end - s->first;
     for (uint32_t i = s->first; i < s->end; i++) {
         window_make(&w, s, y, i);
         const unsigned chunks = (unsigned)((w.first + w.count - begin_of(&w, y) + 3) / 4);
@@ -147,7 +149,9 @@ static int table_make(struct table *t, const struct side *s, const struct way *y
         window_make(&w, s, y, i);
         const long begin = begin_of(&w, y);
         float *column = t->texel + (size_t)(i - s->first) * 4;
-        column[0] = (float)(across ? begin / 4 : begin);
+        column[0] = (float)(across ? (long)t->column + begin / 4 : begin);
+        column[1] = (float)t->last;
+        column[2] = (float)t->chunks;
         for (long k = 0; k < w.count; k++) {
             const long at = w.first - begin + k;
             column[(size_t)(1 + at / 4) * t->n * 4 + (size_t)(at % 4)] = (float)w.v[k];
@@ -159,8 +163,11 @@ static int table_make(struct table *t, const struct side *s, const struct way *y
 
 /* ---- on the device ----------------------------------------------------------------------------------- */
 
+static size_t table_bytes(const struct table *t) { return (size_t)t->n * (1 + t->chunks) * 16; }
+
 struct tables {
     struct table t[WALL_SOURCES_MAX][2]; /* down, across */
+    uint32_t lines;                      /* of all across */
 };
 
 static void sides_of(const struct frame *fr, struct side side[2])
@@ -175,6 +182,7 @@ static int tables_make(struct tables *all, struct wall_work *k, const struct fra
     const struct targets *t = &fr->b->targets;
     const struct plan *p = fr->b->plan;
     struct side side[2];
+    uint32_t column = 0;
     sides_of(fr, side);
     for (unsigned i = 0; i < k->sources; i++) {
         struct wall_source *s = &k->source[i];
@@ -188,24 +196,29 @@ static int tables_make(struct tables *all, struct wall_work *k, const struct fra
                                  layered ? 2 * (long)t->layered_groups : 4 * (long)v->groups, false };
             across = (struct way){ s->level, p->order, g ? &g->x : NULL, LEVEL_MARGIN, 4 * (long)v->texels, true };
         }
+        s->column = column;
+        s->texels = (uint32_t)(across.stored + 3) / 4;
+        column += s->texels;
+        all->t[i][1] = (struct table){ .column = s->column, .last = column - 1 };
         if (table_make(&all->t[i][0], &side[0], &down, false, &fr->b->vk, fr->f) < 0 ||
             table_make(&all->t[i][1], &side[1], &across, true, &fr->b->vk, fr->f) < 0)
             return -1;
-        for (unsigned a = 0; a < 2; a++) {
-            s->chunks[a] = all->t[i][a].chunks;
-            s->taps = s->taps > all->t[i][a].taps ? s->taps : all->t[i][a].taps;
-        }
+        // Aligned tables may begin before their first tap.
+        s->taps_down = down.aligned ? 4 * all->t[i][0].chunks : all->t[i][0].taps;
+        s->taps_across = all->t[i][1].taps;
+        s->chunks_across = all->t[i][1].chunks;
+        all->lines += 1 + all->t[i][1].chunks;
     }
     return 0;
 }
 
-static int add_image(struct bloom *b, struct vk_image *m, uint32_t width, uint32_t height, uint32_t layers, VkDeviceSize *bytes,
+static int add_image(struct bloom *b, struct vk_image *m, uint32_t width, uint32_t height, VkDeviceSize *bytes,
                      uint32_t *types, struct fault *f)
 {
     const uint32_t most = b->vk.properties.limits.maxImageDimension2D;
     if (width > most || height > most)
-        return fault_set(f, FAULT_LIMIT, "wall", "%u x %u wall pixels: the device takes up to %u x %u", width, height, most, most);
-    if (vk_image_create(&b->vk, m, VK_FORMAT_R32G32B32A32_SFLOAT, width, height, layers, false, f) < 0)
+        return fault_set(f, FAULT_LIMIT, "wall", "an image of %u x %u: the device takes up to %u x %u", width, height, most, most);
+    if (vk_image_create(&b->vk, m, VK_FORMAT_R32G32B32A32_SFLOAT, width, height, 1, false, f) < 0)
         return -1;
     *bytes = (*bytes + m->needs.alignment - 1) / m->needs.alignment * m->needs.alignment + m->needs.size;
     *types &= m->needs.memoryTypeBits;
@@ -226,31 +239,27 @@ static int images_make(struct wall_work *k, const struct tables *all, const stru
     struct bloom *b = fr->b;
     const struct bloom_wall *w = fr->wall;
     const uint32_t columns = w->end_x - w->first_x, rows = w->end_y - w->first_y;
-    struct vk_image *image[2 * WALL_SOURCES_MAX + 4];
+    struct vk_image *image[WALL_SOURCES_MAX + 4];
     unsigned n = 0;
     VkDeviceSize bytes = 0, at = 0;
     uint32_t types = ~0u;
-    // Margins of a level included.
-    const uint32_t texels = level_of(fr->target->width, 1).texels;
-    image[n++] = &k->rows;
-    if (add_image(b, &k->rows, texels, rows, fr->target->geometry.channels, &bytes, &types, fr->f) < 0)
-        return -1;
-    for (unsigned i = 0; i < 2; i++) {
-        image[n++] = &k->light[i];
-        if (add_image(b, &k->light[i], columns, rows, 1, &bytes, &types, fr->f) < 0)
+    const struct wall_source *last = &k->source[k->sources - 1];
+    const struct { struct vk_image *image; uint32_t width, height; } shared[] = {
+        { &k->rows, last->column + last->texels, rows * fr->target->geometry.channels },
+        { &k->drive, columns, rows },
+        { &k->across, columns, all->lines },
+        { &k->gain, w->width, w->height },
+    };
+    for (unsigned i = 0; i < (w->gain ? 4 : 3); i++) {
+        image[n++] = shared[i].image;
+        if (add_image(b, shared[i].image, shared[i].width, shared[i].height, &bytes, &types, fr->f) < 0)
             return -1;
     }
-    if (w->gain) {
-        image[n++] = &k->gain;
-        if (add_image(b, &k->gain, w->width, w->height, 1, &bytes, &types, fr->f) < 0)
+    for (unsigned i = 0; i < k->sources; i++) {
+        image[n++] = &k->source[i].down;
+        if (add_image(b, &k->source[i].down, rows, 1 + all->t[i][0].chunks, &bytes, &types, fr->f) < 0)
             return -1;
     }
-    for (unsigned i = 0; i < k->sources; i++)
-        for (unsigned a = 0; a < 2; a++) {
-            image[n++] = &k->source[i].table[a];
-            if (add_image(b, &k->source[i].table[a], all->t[i][a].n, 1 + all->t[i][a].chunks, 1, &bytes, &types, fr->f) < 0)
-                return -1;
-        }
     if (vk_memory_reserve(&b->vk, &k->memory, bytes, types, VK_PLACE_DEVICE, fr->f) < 0)
         return -1;
     for (unsigned i = 0; i < n; i++)
@@ -274,21 +283,24 @@ static void upload(struct bloom *b, struct vk_image *m, VkDeviceSize offset)
 static int tables_upload(struct wall_work *k, const struct tables *all, const struct frame *fr)
 {
     struct bloom *b = fr->b;
-    VkDeviceSize bytes = 0;
+    VkDeviceSize bytes = 0, begin = 0;
     for (unsigned i = 0; i < k->sources; i++)
         for (unsigned a = 0; a < 2; a++)
-            bytes += (VkDeviceSize)all->t[i][a].n * (1 + all->t[i][a].chunks) * 16;
+            bytes += table_bytes(&all->t[i][a]);
     if (vk_buffer_reserve(&b->vk, &b->exchange, bytes, EXCHANGE_USAGE, fr->f) < 0 || vk_begin(&b->commands, fr->f) < 0)
         return -1;
     bytes = 0;
-    for (unsigned i = 0; i < k->sources; i++)
-        for (unsigned a = 0; a < 2; a++) {
+    for (unsigned a = 0; a < 2; a++) {
+        begin = bytes;
+        for (unsigned i = 0; i < k->sources; i++) {
             const struct table *t = &all->t[i][a];
-            const VkDeviceSize size = (VkDeviceSize)t->n * (1 + t->chunks) * 16;
-            memcpy(b->exchange.memory.map + bytes, t->texel, size);
-            upload(b, &k->source[i].table[a], bytes);
-            bytes += size;
+            memcpy(b->exchange.memory.map + bytes, t->texel, table_bytes(t));
+            if (a == 0)
+                upload(b, &k->source[i].down, bytes);
+            bytes += table_bytes(t);
         }
+    }
+    upload(b, &k->across, begin);
     return vk_submit_and_wait(&b->commands, fr->f);
 }
 
@@ -320,12 +332,11 @@ static int gain_upload(struct wall_work *k, const struct frame *fr)
 static void images_destroy(struct vk *v, struct wall_work *k)
 {
     vk_image_destroy(v, &k->rows);
+    vk_image_destroy(v, &k->drive);
+    vk_image_destroy(v, &k->across);
     vk_image_destroy(v, &k->gain);
-    for (unsigned i = 0; i < 2; i++)
-        vk_image_destroy(v, &k->light[i]);
     for (unsigned i = 0; i < WALL_SOURCES_MAX; i++)
-        for (unsigned a = 0; a < 2; a++)
-            vk_image_destroy(v, &k->source[i].table[a]);
+        vk_image_destroy(v, &k->source[i].down);
 }
 
 void wall_work_destroy(struct vk *v, struct wall_work *k)

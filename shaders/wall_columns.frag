@@ -1,59 +1,89 @@
 #version 460
 // SPDX-License-Identifier: Apache-2.0
 #extension GL_GOOGLE_include_directive : require
-// A wall's picture, second half of a resampling: along wall_rows.frag's rows to the wall's pixels, all channels of one a
-// fragment, times a gain, -D ADD plus what there is so far. Sums as in wall_rows.frag. -D CHANNELS as there.
+// A wall's picture, second half: along wall_rows.frag's rows to the wall's pixels, all channels of one and all sources a fragment
+// (each pass more that reads and writes a wall of 512 x 256 costs 2 ms on two cores), and from there to the LEDs' linear drive
+// (daemon/bloom.h): 2^exposure, tone map, saturation, matrix, gain. Sums as in wall_rows.frag. -D CHANNELS 3 or 1.
 #include "common.glsl"
+#include "display.glsl"
 
-#if CHANNELS == 3
-layout(rgba32f, set = 0, binding = 0) uniform readonly image2DArray rows;
-#else
-layout(rgba32f, set = 0, binding = 0) uniform readonly image2D rows;
-#endif
-#ifdef ADD
-layout(rgba32f, set = 0, binding = 1) uniform readonly image2D light;
-#endif
-layout(rgba32f, set = 0, binding = 5) uniform readonly image2D weights; // x the wall column, y: 0 its first texel, then 4 weights each
-layout(constant_id = 0) const int CHUNKS = 0;                           // texels; 0: pass.mode.z of them, in a loop
+layout(rgba32f, set = 0, binding = 0) uniform readonly image2D rows; // sources beside, channels below each other
+layout(rgba32f, set = 0, binding = 1) uniform readonly image2D gain; // of the whole wall
+// x the wall column; y, of each source: first texel, last one there is, how many; then 4 weights each.
+layout(rgba32f, set = 0, binding = 5) uniform readonly image2D weights;
+// Bits 0-1 tone map, 2 saturation, 3 gain; 4-7, 8-11, 12-15 the chunks of up to 3 sources, 0 there: in loops, as the weights say.
+layout(constant_id = 0) const int FEATURES = 0;
 layout(location = 0) out vec4 result;
 
 const float FLOAT_MAX = 3.4028235e38;
+// Light that is this bright is held at full drive later anyway; sums of it stay finite.
+const float MOST = 1e30;
 
-float sums[CHANNELS];
+float light[CHANNELS], sum[CHANNELS];
 
-void add_chunk(ivec2 at, int texel0, int chunk)
+void add_chunk(ivec2 at, ivec3 head, int line, int k)
 {
-    vec4 w = imageLoad(weights, ivec2(at.x, 1 + chunk));
-    int texel = min(texel0 + chunk, pass.src.x - 1);
+    vec4 w = imageLoad(weights, ivec2(at.x, line + 1 + k));
+    int texel = min(head.x + k, head.y);
     [[unroll]] for (int c = 0; c < CHANNELS; c++) {
-#if CHANNELS == 3
-        vec4 v = imageLoad(rows, ivec3(texel, at.y, c));
-#else
-        vec4 v = imageLoad(rows, ivec2(texel, at.y));
-#endif
+        vec4 v = imageLoad(rows, ivec2(texel, at.y + c * pass.mode.w));
         [[unroll]] for (int i = 0; i < 4; i++)
-            sums[c] += w[i] * v[i];
+            sum[c] += w[i] * v[i];
     }
+}
+
+ivec3 begin_source(ivec2 at, int line)
+{
+    [[unroll]] for (int c = 0; c < CHANNELS; c++)
+        sum[c] = 0.0;
+    return ivec3(imageLoad(weights, ivec2(at.x, line)).xyz);
+}
+
+void end_source()
+{
+    [[unroll]] for (int c = 0; c < CHANNELS; c++)
+        light[c] += clamp(sum[c], -FLOAT_MAX, FLOAT_MAX);
+}
+
+vec3 light_at(ivec2 at)
+{
+    [[unroll]] for (int c = 0; c < CHANNELS; c++)
+        light[c] = 0.0;
+    int line = 0;
+    if (FEATURES >> 4 != 0) {
+        [[unroll]] for (int s = 0; s < 3; s++) {
+            const int chunks = FEATURES >> (4 + 4 * s) & 15;
+            if (chunks == 0)
+                continue;
+            ivec3 head = begin_source(at, line);
+            [[unroll]] for (int k = 0; k < 8; k++)
+                if (k < chunks)
+                    add_chunk(at, head, line, k);
+            end_source();
+            line += 1 + chunks;
+        }
+    } else {
+        for (int s = 0; s < pass.mode.z; s++) {
+            ivec3 head = begin_source(at, line);
+            for (int k = 0; k < head.z; k++)
+                add_chunk(at, head, line, k);
+            end_source();
+            line += 1 + head.z;
+        }
+    }
+    return CHANNELS == 3 ? vec3(light[0], light[CHANNELS / 2], light[CHANNELS - 1]) : vec3(light[0]);
 }
 
 void main()
 {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    int texel0 = int(imageLoad(weights, ivec2(at.x, 0)).x);
-    [[unroll]] for (int c = 0; c < CHANNELS; c++)
-        sums[c] = 0.0;
-    if (CHUNKS > 0) {
-        [[unroll]] for (int i = 0; i < CHUNKS; i++)
-            add_chunk(at, texel0, i);
-    } else {
-        for (int i = 0; i < pass.mode.z; i++)
-            add_chunk(at, texel0, i);
-    }
-    vec3 sum = CHANNELS == 3 ? vec3(sums[0], sums[CHANNELS / 2], sums[CHANNELS - 1]) : vec3(sums[0]);
-    // Inf times a gain of 0 would be NaN.
-    sum = clamp(sum, -FLOAT_MAX, FLOAT_MAX) * pass.weight.rgb;
-#ifdef ADD
-    sum += imageLoad(light, at).rgb;
-#endif
-    result = vec4(clamp(sum, -FLOAT_MAX, FLOAT_MAX), 0.0);
+    vec3 v = clamp(light_at(at) * pass.luma.w, 0.0, MOST);
+    [[unroll]] for (int c = 0; c < 3; c++)
+        v[c] = tone_map(v[c], FEATURES & 3);
+    if ((FEATURES & 4) != 0)
+        v = saturated(v, pass.luma.rgb, pass.limit.w);
+    vec3 led = vec3(dot(pass.tap[0].rgb, v), dot(pass.tap[1].rgb, v), dot(pass.tap[2].rgb, v));
+    if ((FEATURES & 8) != 0)
+        led *= imageLoad(gain, at + pass.window.xy).rgb;
+    result = vec4(led, 0.0);
 }

@@ -1,10 +1,11 @@
 #version 460
 // SPDX-License-Identifier: Apache-2.0
 #extension GL_GOOGLE_include_directive : require
-// A wall's picture, first half of a resampling: down the columns to the wall's rows. A fragment makes 4 cells side by side of
-// one wall row, every channel in an attachment of its own. What is read, one of: -D INPUT a target's planes; -D OUTPUT its first
-// output (rows in 4 images by y % 4: 0 to 2 in planes, 3 in matte_plane); else a level, -D LAYERED E at full size.
-// -D HALF, CHANNELS as in bright.frag.
+// A wall's picture, first half of a resampling: down the columns to the wall's rows, times a gain. A fragment makes 4 cells side by side
+// of one wall row of one channel; the channels stand below each other, the sources beside each other. What is read, one of:
+// -D INPUT a target's planes, drawn in one band a channel, so that planes[0] is this channel's (three planes at once are more
+// streams than a CPU fetches ahead: 2x the time); -D OUTPUT its first output (rows in 4 images by y % 4: 0 to 2 in planes, 3
+// in matte_plane); else a level, -D LAYERED E at full size. -D HALF as in bright.frag.
 //
 // Sums go up the rows one by one from 0: weights of 0 at either end change no bit, so that how a table is cut and where the target lies
 // in its frame do not show.
@@ -16,14 +17,8 @@
 #include "common.glsl"
 
 layout(rgba32f, set = 0, binding = 5) uniform readonly image2D weights; // x the wall row, y: 0 its first row, then 4 weights each
-layout(constant_id = 0) const int CHUNKS = 0; // of 4 rows; 0: pass.mode.z of them, in a loop
-#if CHANNELS == 3
-layout(location = 0) out vec4 out_r;
-layout(location = 1) out vec4 out_g;
-layout(location = 2) out vec4 out_b;
-#else
-layout(location = 0) out vec4 out_r;
-#endif
+layout(constant_id = 0) const int TAPS = 0; // rows; 0: pass.mode.z chunks of 4, in a loop
+layout(location = 0) out vec4 result;
 
 const float FLOAT_MAX = 3.4028235e38;
 
@@ -53,7 +48,7 @@ vec4 decoded(uvec4 u, int column)
 vec4 cells(int column, int c, int row0, const int k)
 {
 #ifdef INPUT
-    return decoded(imageLoad(planes[c], ivec2(texel_of(column), min(row0 + k, pass.frame.y - 1))), column);
+    return decoded(imageLoad(planes[0], ivec2(texel_of(column), min(row0 + k, pass.frame.y - 1))), column);
 #elif defined(OUTPUT)
     ivec2 at = ivec2(texel_of(column), c * pass.frame.z + min(row0 >> 2, pass.frame.z - 1));
     if (k == 3)
@@ -65,34 +60,26 @@ vec4 cells(int column, int c, int row0, const int k)
 #endif
 }
 
-vec4 sums[CHANNELS];
-
-void add_chunk(ivec2 at, int row0, int chunk)
-{
-    vec4 w = imageLoad(weights, ivec2(at.y, 1 + chunk));
-    [[unroll]] for (int k = 0; k < 4; k++)
-        [[unroll]] for (int c = 0; c < CHANNELS; c++)
-            sums[c] += w[k] * cells(at.x, c, row0 + 4 * chunk, k);
-}
-
 void main()
 {
     ivec2 at = ivec2(gl_FragCoord.xy);
-    int row0 = int(imageLoad(weights, ivec2(at.y, 0)).x);
-    [[unroll]] for (int c = 0; c < CHANNELS; c++)
-        sums[c] = vec4(0.0);
-    if (CHUNKS > 0) {
-        [[unroll]] for (int i = 0; i < CHUNKS; i++)
-            add_chunk(at, row0, i);
+    int channel = at.y / pass.mode.w, row = at.y - channel * pass.mode.w, column = at.x - pass.frame.w;
+    int row0 = int(imageLoad(weights, ivec2(row, 0)).x);
+    vec4 sum = vec4(0.0);
+    if (TAPS > 0) {
+        [[unroll]] for (int i = 0; i < TAPS; i += 4) {
+            vec4 w = imageLoad(weights, ivec2(row, 1 + (i >> 2)));
+            [[unroll]] for (int k = 0; k < 4; k++)
+                if (i + k < TAPS)
+                    sum += w[k] * cells(column, channel, row0 + i, k);
+        }
     } else {
-        for (int i = 0; i < pass.mode.z; i++)
-            add_chunk(at, row0, i);
+        for (int i = 0; i < pass.mode.z; i++) {
+            vec4 w = imageLoad(weights, ivec2(row, 1 + i));
+            [[unroll]] for (int k = 0; k < 4; k++)
+                sum += w[k] * cells(column, channel, row0 + 4 * i, k);
+        }
     }
-    [[unroll]] for (int c = 0; c < CHANNELS; c++)
-        sums[c] = clamp(sums[c], -FLOAT_MAX, FLOAT_MAX);
-    out_r = sums[0];
-#if CHANNELS == 3
-    out_g = sums[1];
-    out_b = sums[2];
-#endif
+    // Inf times 0 would be NaN.
+    result = clamp(clamp(sum, -FLOAT_MAX, FLOAT_MAX) * pass.weight[channel], -FLOAT_MAX, FLOAT_MAX);
 }

@@ -15,6 +15,7 @@ $(T)/test_reference $(T)/test_reference_pipeline: $(T)/reference/reference.o
 HARD_TESTS := $(filter $(T)/test_hard%,$(TESTS))
 $(T)/test_engine $(HARD_TESTS) $(T)/test_property: $(T)/reference/reference.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(HARD_TESTS): $(T)/hard_kit.o
+$(T)/test_wall_engine: $(T)/reference/reference.o $(T)/reference/reference_wall.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
 $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
