@@ -235,7 +235,7 @@ void wall_board_stats(struct wall *w, unsigned board, struct usb_stats *out, str
     if (w->out[board].usb)
         usb_board_stats(w->out[board].usb, out, us);
     for (uint32_t i = 0; i < out->latency_count; i++)
-        ms[i] = (float)us[i] * 1e-3f;
+        ms[i] = (float)us[i] / 1000;
     *latency = meter_percentiles(ms, out->latency_count);
     pthread_mutex_lock(&w->lock);
     *power = w->board_power[board];
