@@ -32,6 +32,9 @@ $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
+# What a wall hands to its boards is recorded in their place.
+$(T)/test_wall_boards: LDFLAGS += -Wl,--wrap=usb_board_add,--wrap=usb_board_remove,--wrap=usb_board_send,--wrap=usb_board_idle,--wrap=usb_board_stats
+
 $(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 
 # Boards without hardware; these programs run under umockdev-wrapper.
