@@ -55,7 +55,7 @@ static void test_opens_and_sends(void **state)
     usb_board_remove(b, 1000);
     usb_destroy(u);
     kit_unplug(k);
-    assert_int_equal(k->opens_now, 0);
+    assert_int_equal(kit_open_fds(k), 0);
     assert_int_equal(k->claims, k->releases);
 }
 
@@ -188,7 +188,7 @@ static void test_twenty_replugs(void **state)
     assert_int_equal(s.sent, 20);
     usb_board_remove(b, 0);
     usb_destroy(u);
-    assert_int_equal(k->opens_now, 0);
+    assert_int_equal(kit_open_fds(k), 0);
 }
 
 // Where no udevd runs nothing is heard of arrivals and departures.
@@ -209,7 +209,7 @@ static void test_unheard_arrival(void **state)
     }
     assert_int_equal(rig_stats(b).losses, 2);
     usb_destroy(u);
-    assert_int_equal(k->opens_now, 0);
+    assert_int_equal(kit_open_fds(k), 0);
 }
 
 static void test_remove_and_add_again(void **state)
@@ -388,19 +388,19 @@ static void test_other_process(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_opens_and_sends),
-        cmocka_unit_test(test_sixty_frames_per_second),
-        cmocka_unit_test(test_small_board),
-        cmocka_unit_test(test_gud_full_rate),
-        cmocka_unit_test(test_late_plug),
-        cmocka_unit_test(test_twenty_replugs),
-        cmocka_unit_test(test_unheard_arrival),
-        cmocka_unit_test(test_remove_and_add_again),
-        cmocka_unit_test(test_one_serial_twice),
-        cmocka_unit_test(test_unknown_serial_is_absent),
-        cmocka_unit_test(test_list),
-        cmocka_unit_test(test_bad_requests),
-        cmocka_unit_test(test_other_process),
+        cmocka_unit_test_teardown(test_opens_and_sends, rig_teardown),
+        cmocka_unit_test_teardown(test_sixty_frames_per_second, rig_teardown),
+        cmocka_unit_test_teardown(test_small_board, rig_teardown),
+        cmocka_unit_test_teardown(test_gud_full_rate, rig_teardown),
+        cmocka_unit_test_teardown(test_late_plug, rig_teardown),
+        cmocka_unit_test_teardown(test_twenty_replugs, rig_teardown),
+        cmocka_unit_test_teardown(test_unheard_arrival, rig_teardown),
+        cmocka_unit_test_teardown(test_remove_and_add_again, rig_teardown),
+        cmocka_unit_test_teardown(test_one_serial_twice, rig_teardown),
+        cmocka_unit_test_teardown(test_unknown_serial_is_absent, rig_teardown),
+        cmocka_unit_test_teardown(test_list, rig_teardown),
+        cmocka_unit_test_teardown(test_bad_requests, rig_teardown),
+        cmocka_unit_test_teardown(test_other_process, rig_teardown),
     };
     return cmocka_run_group_tests(tests, rig_group_setup, rig_group_teardown);
 }

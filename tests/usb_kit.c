@@ -68,6 +68,14 @@ static int wait_until(pthread_cond_t *c, pthread_mutex_t *m, uint64_t ns)
     return pthread_cond_timedwait(c, m, &t);
 }
 
+static size_t from_hex(const char *hex, uint8_t *out)
+{
+    size_t n = 0;
+    for (unsigned byte; sscanf(hex + 2 * n, "%2x", &byte) == 1; n++)
+        out[n] = (uint8_t)byte;
+    return n;
+}
+
 // ---- URBs -------------------------------------------------------------------------------------------------------
 
 static void set_ready(struct kit_board *b, bool ready)
@@ -281,6 +289,12 @@ static int serve(struct kit_board *b, UMockdevIoctlClient *client, unsigned long
     case USBDEVFS_SETCONFIGURATION:
     case USBDEVFS_SETINTERFACE:
         return 0;
+    case USBDEVFS_CONNECTINFO: {
+        UMockdevIoctlData *info = umockdev_ioctl_data_resolve(arg, 0, sizeof(struct usbdevfs_connectinfo), NULL);
+        *(struct usbdevfs_connectinfo *)(void *)info->data = (struct usbdevfs_connectinfo){ .devnum = b->address };
+        g_object_unref(info);
+        return 0;
+    }
     case USBDEVFS_IOCTL: // no kernel driver to detach or to attach again
     case USBDEVFS_GETDRIVER:
         return ENODATA;
@@ -310,48 +324,49 @@ static gboolean on_ioctl(UMockdevIoctlBase *handler, UMockdevIoctlClient *client
     return TRUE;
 }
 
-static void on_vanished(UMockdevIoctlBase *handler, UMockdevIoctlClient *client, struct kit_board *b)
+unsigned kit_open_fds(const struct kit_board *b)
 {
-    (void)handler;
-    pthread_mutex_lock(&b->lock);
-    for (unsigned list = 0; list < 2; list++)
-        for (struct kit_urb **p = list ? &b->done : &b->flying; *p;) {
-            struct kit_urb *u = *p;
-            if (u->client != client) {
-                p = &u->next;
-                continue;
-            }
-            *p = u->next;
-            urb_free(u);
-        }
-    b->opens_now--;
-    pthread_cond_broadcast(&b->change);
-    pthread_mutex_unlock(&b->lock);
-}
-
-static void on_connected(UMockdevIoctlBase *handler, UMockdevIoctlClient *client, struct kit_board *b)
-{
-    (void)handler;
-    (void)client;
-    pthread_mutex_lock(&b->lock);
-    b->opens_now++;
-    pthread_mutex_unlock(&b->lock);
+    unsigned n = 0;
+    char path[64], to[1024];
+    for (unsigned fd = 0; fd < 1024; fd++) {
+        snprintf(path, sizeof(path), "/proc/self/fd/%u", fd);
+        const ssize_t length = readlink(path, to, sizeof(to) - 1);
+        to[length > 0 ? length : 0] = '\0';
+        n += strstr(to, b->node) != NULL;
+    }
+    return n - (b->fifo >= 0);
 }
 
 // ---- plugging -----------------------------------------------------------------------------------------------------
 
-static void make_node(struct kit_board *b)
+static int make_fifo(const char *path)
+{
+    const int fifo = mkfifo(path, 0666) ? -1 : open(path, O_RDWR | O_NONBLOCK | O_CLOEXEC);
+    if (fifo < 0)
+        abort();
+    fcntl(fifo, F_SETPIPE_SZ, 4096);
+    return fifo;
+}
+
+// Who opens a node by its name reads the descriptors from it, from the start: that takes a file, at the price that libusb
+// polls without a pause.
+static int make_file(const struct kit_board *b, const char *path)
+{
+    char hex[256];
+    uint8_t bytes[128];
+    kit_descriptors(b, hex, sizeof(hex));
+    if (!g_file_set_contents(path, (const char *)bytes, (gssize)from_hex(hex, bytes), NULL))
+        abort();
+    return -1;
+}
+
+static void make_node(struct kit_board *b, bool heard)
 {
     char path[1024];
     snprintf(path, sizeof(path), "%s/dev/bus/usb/%03u", b->kit->root, b->bus);
     g_mkdir_with_parents(path, 0755);
     snprintf(path, sizeof(path), "%s%s", b->kit->root, b->node);
-    if (mkfifo(path, 0666))
-        abort();
-    const int fifo = open(path, O_RDWR | O_NONBLOCK | O_CLOEXEC);
-    if (fifo < 0)
-        abort();
-    fcntl(fifo, F_SETPIPE_SZ, 4096);
+    const int fifo = heard ? make_fifo(path) : make_file(b, path);
     pthread_mutex_lock(&b->lock);
     b->fifo = fifo;
     b->gone = b->halted = false;
@@ -372,7 +387,7 @@ static void new_address(struct kit_board *b)
     snprintf(b->syspath, sizeof(b->syspath), "/sys/devices/usb1/1-%u", b->port);
 }
 
-static void prepare(struct kit_board *b)
+static void prepare(struct kit_board *b, bool heard)
 {
     GError *error = NULL;
     new_address(b);
@@ -380,14 +395,14 @@ static void prepare(struct kit_board *b)
         fprintf(stderr, "usb_kit: %s: %s\n", b->node, error->message);
         abort();
     }
-    make_node(b);
+    make_node(b, heard);
 }
 
 static void plug(struct kit_board *b)
 {
     GError *error = NULL;
     char text[1024], hex[256];
-    prepare(b);
+    prepare(b, true);
     kit_descriptors(b, hex, sizeof(hex));
     snprintf(text, sizeof(text),
              "P: /devices/usb1/1-%u\nE: SUBSYSTEM=usb\nE: DRIVER=usb\nE: BUSNUM=%03u\nE: DEVNUM=%03u\nE: DEVNAME=%s\n"
@@ -415,14 +430,6 @@ static void write_file(const char *dir, const char *name, const void *data, size
         abort();
 }
 
-static size_t from_hex(const char *hex, uint8_t *out)
-{
-    size_t n = 0;
-    for (unsigned byte; sscanf(hex + 2 * n, "%2x", &byte) == 1; n++)
-        out[n] = (uint8_t)byte;
-    return n;
-}
-
 // The same files that the test bed would make, without its message to those who listen.
 void kit_plug_unheard(struct kit_board *b)
 {
@@ -430,7 +437,7 @@ void kit_plug_unheard(struct kit_board *b)
     uint8_t bytes[128];
     if (b->plugged)
         return;
-    prepare(b);
+    prepare(b, false);
     snprintf(dir, sizeof(dir), "%s%s", b->kit->root, b->syspath);
     g_mkdir_with_parents(dir, 0755);
     kit_descriptors(b, hex, sizeof(hex));
@@ -493,10 +500,17 @@ void kit_unplug(struct kit_board *b)
     }
     umockdev_testbed_detach_ioctl(b->kit->bed, b->node, NULL);
     pthread_mutex_lock(&b->lock);
-    close(b->fifo);
+    if (b->fifo >= 0)
+        close(b->fifo);
     b->fifo = -1;
     pthread_mutex_unlock(&b->lock);
     b->plugged = false;
+}
+
+void kit_unplug_all(struct usb_kit *k)
+{
+    for (unsigned i = 0; i < k->boards; i++)
+        kit_unplug(k->board[i]);
 }
 
 // ---- boards and kit -----------------------------------------------------------------------------------------------
@@ -515,8 +529,7 @@ static struct kit_board *board_new(struct usb_kit *k, const char *serial)
     cond_init(&b->change);
     snprintf(b->serial, sizeof(b->serial), "%s", serial);
     UMockdevIoctlBase *handler = umockdev_ioctl_base_new();
-    g_object_connect(handler, "signal-after::handle-ioctl", on_ioctl, b, "signal::client-connected", on_connected, b,
-                     "signal::client-vanished", on_vanished, b, NULL);
+    g_object_connect(handler, "signal-after::handle-ioctl", on_ioctl, b, NULL);
     b->handler = handler;
     k->board[n] = b;
     atomic_store(&k->boards, n + 1);
@@ -569,8 +582,7 @@ void kit_destroy(struct usb_kit *k)
 {
     if (!k)
         return;
-    for (unsigned i = 0; i < k->boards; i++)
-        kit_unplug(k->board[i]);
+    kit_unplug_all(k);
     pthread_mutex_lock(&k->lock);
     k->stop = true;
     pthread_cond_signal(&k->wake);

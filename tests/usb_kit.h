@@ -61,7 +61,7 @@ struct kit_board {
     bool halted;
 
     /* What came. */
-    uint64_t frames, luts, configs, bad, clears, claims, releases, cancels, opens_now;
+    uint64_t frames, luts, configs, bad, clears, claims, releases, cancels;
     uint8_t frame[KIT_FRAME_BYTES], lut[KIT_FRAME_BYTES], config[64];
     uint32_t id[KIT_LOG];     /* of frame n at n % KIT_LOG: its first LED's three bytes as they came */
     uint64_t at_ns[KIT_LOG];  /* when it was complete, CLOCK_MONOTONIC */
@@ -89,13 +89,17 @@ void kit_destroy(struct usb_kit *k); /* and all boards */
 struct kit_board *kit_fadecandy(struct usb_kit *k, const char *serial);
 /* RGB888, one mode, connected, no flags, a buffer of one frame. */
 struct kit_board *kit_gud(struct usb_kit *k, const char *serial, uint32_t width, uint32_t height);
+void kit_gud_defaults(struct kit_board *b); /* back to that; not while it is plugged in */
 void kit_gud_mode(uint8_t out[24], uint16_t width, uint16_t height); /* a sound one */
 
 void kit_plug(struct kit_board *b);     /* a new address each time */
 void kit_plug_unheard(struct kit_board *b); /* on the bus, but no event says so, as where no udevd runs */
 void kit_unplug(struct kit_board *b);   /* transfers die, ioctls say ENODEV, then the event; no-op when not plugged */
+void kit_unplug_all(struct usb_kit *k);
 void kit_vanish(struct kit_board *b);   /* as unplug, but no event */
 
+/* Handles of this process that are open on the board's node (its last one). */
+unsigned kit_open_fds(const struct kit_board *b);
 /* Waits until the condition on the board is true, looked at under its lock; false after ms. */
 bool kit_wait(struct kit_board *b, bool (*is)(const struct kit_board *b, uint64_t n), uint64_t n, unsigned ms);
 bool kit_wait_frames(struct kit_board *b, uint64_t frames, unsigned ms);

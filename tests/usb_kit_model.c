@@ -84,6 +84,7 @@ void kit_gud_defaults(struct kit_board *b)
 {
     struct kit_reply *r = b->reply;
     uint8_t *d = r[0x01].data;
+    memset(r, 0, KIT_REQUESTS * sizeof(*r));
     put32(d, 0x1d50614d);
     d[4] = 1;
     put32(d + 10, b->width * b->height * 3);

@@ -13,6 +13,5 @@ int kit_control(struct kit_board *b, const uint8_t setup[8], const uint8_t *data
 void kit_bulk(struct kit_board *b, const uint8_t *data, size_t length);
 /* Device and configuration descriptor in hex. */
 void kit_descriptors(const struct kit_board *b, char *hex, size_t size);
-void kit_gud_defaults(struct kit_board *b);
 
 #endif

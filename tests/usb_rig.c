@@ -50,11 +50,20 @@ int rig_group_teardown(void **state)
     return 0;
 }
 
+int rig_teardown(void **state)
+{
+    (void)state;
+    kit_unplug_all(rig_kit);
+    return 0;
+}
+
 static void on_log(const char *line)
 {
     pthread_mutex_lock(&log_lock);
     const size_t at = strlen(log_text);
     snprintf(log_text + at, sizeof(log_text) - at, "%s\n", line);
+    if (getenv("AIRY_TEST_LOG"))
+        fprintf(stderr, "# %s\n", line);
     pthread_mutex_unlock(&log_lock);
 }
 

@@ -15,6 +15,7 @@ extern struct usb_kit *rig_kit;
 
 int rig_group_setup(void **state);    /* for cmocka_run_group_tests */
 int rig_group_teardown(void **state);
+int rig_teardown(void **state);       /* of each test: unplugs what it left */
 struct usb *rig_usb(void);            /* with a log that rig_logged reads */
 bool rig_logged(const char *words);   /* since rig_usb */
 struct panel_config rig_config(enum wall_board_kind kind, const char *serial, uint32_t width, uint32_t height);

@@ -59,7 +59,7 @@ struct usb_stats {
 /* latency_us, of USB_LATENCIES entries, or NULL: from ready to the last transfer's return. */
 void usb_board_stats(struct usb_board *b, struct usb_stats *out, uint32_t *latency_us);
 
-/* All controllers of known kinds that are plugged in, wanted or not; waits up to 3 s for serials that are being read. */
+/* All controllers of known kinds that are plugged in, wanted or not, by path; waits up to 3 s for serials that are being read. */
 struct usb_found {
     enum wall_board_kind kind;
     char serial[WALL_NAME_MAX]; /* empty: could not be read, `why` */

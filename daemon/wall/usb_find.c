@@ -134,6 +134,7 @@ static void leave(struct usb *u, uint8_t bus, uint8_t address)
             break;
         }
     pthread_cond_broadcast(&u->found);
+    usb_nudge(u);
 }
 
 static int LIBUSB_CALL on_hotplug(libusb_context *context, libusb_device *dev, libusb_hotplug_event event, void *arg)
@@ -377,6 +378,11 @@ static void describe(const struct usb *u, const struct usb_entry *e, struct usb_
             out->twice = true;
 }
 
+static int by_path(const void *a, const void *b)
+{
+    return strverscmp(((const struct usb_found *)a)->path, ((const struct usb_found *)b)->path);
+}
+
 unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max)
 {
     const uint64_t end = usb_now_ns() + 3000000000ull;
@@ -392,5 +398,6 @@ unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max)
     for (struct usb_entry *e = u->entry; e && n < max; e = e->next)
         describe(u, e, &out[n++]);
     pthread_mutex_unlock(&u->lock);
+    qsort(out, n, sizeof(*out), by_path);
     return n;
 }
