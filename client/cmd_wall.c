@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// cmd_wall.c - airy wall: which subcommand (cmd_wall_commands.h has most); and the two that need no daemon, check and draw.
+// cmd_wall.c - airy wall: which subcommand; and the two that need no daemon, check and draw.
 #include "cmd_wall.h"
 
 #include <errno.h>
@@ -320,7 +320,7 @@ static void help(void)
     puts("airy wall - LED walls: what is where, and what is shown\n");
     for (unsigned i = 0; i < COMMANDS; i++)
         printf("  airy wall %-9s %s\n", commands[i].name, commands[i].help);
-    puts("\nairy wall SUBCOMMAND --help tells more; see airy-wall(1), and airy-wall(5) for definitions.");
+    puts("\nairy wall SUBCOMMAND --help tells more, so does airy-wall(1); airy-wall(5) is the language of wall definitions.");
 }
 
 enum cmd_exit cmd_wall(int argc, char **argv)
