@@ -104,7 +104,7 @@ int cmd_wall_open(int argc, char **argv)
     int rc = wall_asked_read(&a, &open_syntax, argc, argv);
     if (rc)
         return rc > 0 ? CMD_DONE : CMD_USAGE;
-    enum cmd_exit exit = wall_file_read(&f, a.operand[0], open_syntax.name);
+    enum cmd_exit exit = wall_use_read(&f, a.operand[0]);
     if (exit != CMD_DONE)
         return exit;
     stop_install();

@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "cmd_run.h"
+#include "cmd_wall.h"
 
 enum { CODE_NO_WALL = 224, CODE_WALL = 305, CODE_WALL_BUSY = 403, CLOSE_TIMEOUT_MS = 3000, PATH_ROOM = 4096 };
 
@@ -52,57 +53,22 @@ bool wall_is_file(const char *what)
     return ends_in(what, ".yaml") || ends_in(what, ".yml") || strchr(what, '/') || (stat(what, &s) == 0 && S_ISREG(s.st_mode));
 }
 
-/* All of a small file, and a NUL. NULL: said why not. */
-static char *text_read(const char *path, size_t *bytes, const char *command)
+enum cmd_exit wall_use_read(struct wall_file *f, const char *path)
 {
-    char why[RUN_WHY_MAX];
-    int fd = run_input_open(path, why, sizeof(why));
-    if (fd < 0) {
-        cmd_complain("%s: %s", command, why);
-        return NULL;
-    }
-    char *text = malloc(WALL_TEXT_MAX + 2);
-    size_t n = 0;
-    ssize_t got = 1;
-    while (text && n <= WALL_TEXT_MAX && (got = read(fd, text + n, WALL_TEXT_MAX + 1 - n)) > 0)
-        n += (size_t)got;
-    close(fd);
-    if (text && got >= 0 && n <= WALL_TEXT_MAX && !memchr(text, 0, n)) {
-        text[n] = '\0';
-        *bytes = n;
-        return text;
-    }
-    if (!text)
-        cmd_complain("%s: out of memory", command);
-    else if (got < 0)
-        cmd_complain("%s: %s: %s", command, path, strerror(errno));
-    else
-        cmd_complain("%s: %s: a definition of at most %d bytes of text expected", command, path, WALL_TEXT_MAX);
-    free(text);
-    return NULL;
-}
-
-enum cmd_exit wall_file_read(struct wall_file *f, const char *path, const char *command)
-{
-    static struct wall_mistakes mistakes;
-    struct fault fault = { .text = "" };
-    size_t bytes = 0;
-    *f = (struct wall_file){ .text = text_read(path, &bytes, command) };
-    if (!f->text)
-        return CMD_INPUT;
-    mistakes.count = 0;
-    mistakes.more = false;
-    if (wall_def_parse(&f->def, f->text, bytes, &mistakes, &fault) == 0)
-        return CMD_DONE;
-    for (unsigned i = 0; i < mistakes.count; i++)
-        fprintf(stderr, "%s:%u:%u: %s\n", path, mistakes.at[i].line, mistakes.at[i].column, mistakes.at[i].text);
-    if (mistakes.count)
-        cmd_complain("%s: %s has %s%u mistake%s", command, path, mistakes.more ? "more than " : "", mistakes.count,
-                     mistakes.count == 1 ? "" : "s");
-    else
-        cmd_complain("%s: %s: %s", command, path, fault.text);
+    struct fault fault;
+    size_t bytes;
+    *f = (struct wall_file){ 0 };
+    enum cmd_exit exit = wall_file_read(path, &f->text, &bytes);
+    if (exit != CMD_DONE || wall_def_parse(&f->def, f->text, bytes, NULL, &fault) == 0)
+        return exit;
     wall_file_finish(f);
-    return CMD_INPUT;
+    exit = wall_file_parse(path, false, &f->def); /* says all that is wrong */
+    if (exit == CMD_DONE) {
+        cmd_complain("wall: %s has changed meanwhile; try again", path);
+        wall_file_finish(f);
+        exit = CMD_RETRY;
+    }
+    return exit;
 }
 
 void wall_file_finish(struct wall_file *f)
@@ -204,7 +170,7 @@ enum cmd_exit wall_use_open(struct wall_use *u, const char *what, const struct s
     struct wall_file f = { 0 };
     *u = (struct wall_use){ .session = SESSION_NONE, .command = command };
     if (wall_is_file(what)) {
-        enum cmd_exit exit = wall_file_read(&f, what, command);
+        enum cmd_exit exit = wall_use_read(&f, what);
         if (exit != CMD_DONE)
             return exit;
     } else if (o->device) {
@@ -239,7 +205,7 @@ int wall_use_again(struct wall_use *u, const char *what, const struct session_op
     int rc = u->is_private ? session_open(&u->session, o, e) : wall_daemon(&u->session, o, e);
     if (rc == 0 && !wall_is_file(what))
         rc = wall_find(u, what, e);
-    else if (rc == 0 && wall_file_read(&f, what, u->command) == CMD_DONE)
+    else if (rc == 0 && wall_use_read(&f, what) == CMD_DONE)
         rc = use_file(u, &f, what, e);
     else if (rc == 0)
         rc = local_error(e, EINVAL, "the definition is not what it was");

@@ -32,7 +32,7 @@ struct wall_file {
 /* Is it a file, there or only meant? */
 bool wall_is_file(const char *what);
 /* Every mistake is said, with its line. CMD_DONE, or not and nothing to finish. */
-enum cmd_exit wall_file_read(struct wall_file *f, const char *path, const char *command);
+enum cmd_exit wall_use_read(struct wall_file *f, const char *path);
 void wall_file_finish(struct wall_file *f);
 
 /* CMD_DONE, or not: then the session is closed. */

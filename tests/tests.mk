@@ -24,7 +24,7 @@ $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/to
 $(T)/test_wall_colour: $(T)/reference/reference_led.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall: $(T)/airy_peer.o
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_wall_command: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
