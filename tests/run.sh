@@ -52,7 +52,7 @@ A=$BUILD/asan S=$BUILD/tsan
 keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0"
 # The driver's compiler holds more locks at once than TSan's deadlock detector can count (its own CHECK fails).
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
-pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers \
+pure="wall_def wall_layout wall_draw psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers \
     exr_grow exr_bad raw asset libairy_asset server server_assets server_life server_frames server_looks"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched"
 
