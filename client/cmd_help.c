@@ -95,7 +95,7 @@ static void help_all(void)
          "  airy bloom 'in.####.exr' -o 'out.####.exr' -f 1-100x2    a range, several in flight\n"
          "  airy plan IN                                             what would run, and its error bound\n"
          "  airy status [--json]                                     how a daemon is doing\n"
-         "  airy wall check FILE                                     LED walls; see airy wall --help\n"
+         "  airy wall ...                                            LED walls: airy wall --help\n"
          "  airy help bloom                                          every option and parameter\n"
          "  airy --version\n"
          "\n"
