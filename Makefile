@@ -152,7 +152,8 @@ PREFIX ?= /usr/local
 DESTDIR ?=
 install: all
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/lib $(DESTDIR)$(PREFIX)/include \
-	  $(DESTDIR)$(PREFIX)/share/man/man1 $(DESTDIR)$(PREFIX)/share/man/man7 $(DESTDIR)$(PREFIX)/share/man/man8 \
+	  $(DESTDIR)$(PREFIX)/share/man/man1 $(DESTDIR)$(PREFIX)/share/man/man5 \
+	  $(DESTDIR)$(PREFIX)/share/man/man7 $(DESTDIR)$(PREFIX)/share/man/man8 \
 	  $(DESTDIR)$(PREFIX)/share/doc/airyd $(DESTDIR)$(PREFIX)/lib/systemd/system
 	install -m 755 $(BUILD)/airyd $(BUILD)/airy $(DESTDIR)$(PREFIX)/bin/
 	install -m 755 $(BUILD)/libairy.so $(DESTDIR)$(PREFIX)/lib/libairy.so.0
@@ -160,6 +161,7 @@ install: all
 	install -m 644 $(BUILD)/libairy.a $(DESTDIR)$(PREFIX)/lib/
 	install -m 644 client/airy.h $(DESTDIR)$(PREFIX)/include/
 	install -m 644 client/airy.1 $(DESTDIR)$(PREFIX)/share/man/man1/
+	install -m 644 client/airy-wall.5 $(DESTDIR)$(PREFIX)/share/man/man5/
 	install -m 644 proto/airy_proto.7 $(DESTDIR)$(PREFIX)/share/man/man7/
 	install -m 644 daemon/airyd.8 $(DESTDIR)$(PREFIX)/share/man/man8/
 	install -m 644 proto/PROTOCOL.md proto/airy.proto $(DESTDIR)$(PREFIX)/share/doc/airyd/

@@ -343,8 +343,8 @@ static void read_leds(struct wall_reader *r, const struct wall_node *n, const st
 
 static void read_board(struct wall_reader *r, const struct wall_node *n)
 {
-    static const char *const keys[BOARD_KEYS] = { "serial", "kind", "name", "size", "order", "brightness", "supply", "amps per led", "delay",
-                                                  "leds", "panels" };
+    static const char *const keys[BOARD_KEYS] = { "serial", "kind", "name", "size", "order", "brightness", "supply", "amps per led",
+                                                  "delay", "leds", "panels" };
     const struct wall_node *v[BOARD_KEYS];
     struct wall_board b = { .order = { 0, 1, 2 }, .brightness = 1, .supply = -1, .line = n->line };
     unsigned kind = WALL_FADECANDY;

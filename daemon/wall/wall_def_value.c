@@ -3,6 +3,7 @@
 //
 // Invariant: an output is set only by a value that is all that was expected; else a mistake names the value and what was
 // expected, and the output keeps its default. Numbers are read in the C locale, whatever the process has set.
+#include <assert.h>
 #include <locale.h>
 #include <math.h>
 #include <stdio.h>
@@ -13,7 +14,7 @@
 
 /* ---- keys ------------------------------------------------------------------------------------------------------- */
 
-enum { KEY_MAX = 24 };
+enum { KEY_MAX = 24, KEYS_MAX = 16 };
 
 static unsigned least(unsigned a, unsigned b, unsigned c)
 {
@@ -65,7 +66,8 @@ static const char *nearest(const char *word, const char *const *keys, unsigned c
     return best;
 }
 
-static void complain_unknown(struct wall_reader *r, const struct wall_node *v, const char *const *keys, unsigned count)
+/* The key that was probably meant, or NULL. */
+static const char *complain_unknown(struct wall_reader *r, const struct wall_node *v, const char *const *keys, unsigned count)
 {
     struct wall_node at = *v; /* without its text */
     at.line = v->key_line;
@@ -74,18 +76,21 @@ static void complain_unknown(struct wall_reader *r, const struct wall_node *v, c
     const char *best = nearest(v->key, keys, count);
     if (best) {
         wall_mistake(r, &at, "unknown key; did you mean \"%s\"?", best);
-        return;
+        return best;
     }
     char list[160];
     size_t used = 0;
     for (unsigned i = 0; i < count && used < sizeof(list); i++)
         used += (size_t)snprintf(list + used, sizeof(list) - used, "%s%s", i ? ", " : "", keys[i]);
     wall_mistake(r, &at, "unknown key; expected one of: %s", list);
+    return NULL;
 }
 
 bool wall_keys(struct wall_reader *r, const struct wall_node *map, const char *const *keys, unsigned count,
                const struct wall_node *value[])
 {
+    const struct wall_node *meant[KEYS_MAX] = { NULL };
+    assert(count <= KEYS_MAX);
     for (unsigned i = 0; i < count; i++)
         value[i] = NULL;
     if (map->kind != NODE_MAP) {
@@ -96,13 +101,20 @@ bool wall_keys(struct wall_reader *r, const struct wall_node *map, const char *c
         unsigned i = 0;
         while (i < count && strcmp(v->key, keys[i]) != 0)
             i++;
+        const char *best = i == count ? complain_unknown(r, v, keys, count) : NULL;
+        for (unsigned k = 0; best && k < count; k++)
+            if (keys[k] == best)
+                meant[k] = v;
         if (i == count)
-            complain_unknown(r, v, keys, count);
-        else if (value[i])
+            continue;
+        if (value[i])
             wall_mistake(r, v, "said twice (first in line %u); expected once", value[i]->key_line);
         else
             value[i] = v;
     }
+    // What was meant is read, too, so that its own mistakes are told now, and nobody misses it.
+    for (unsigned i = 0; i < count; i++)
+        value[i] = value[i] ? value[i] : meant[i];
     return true;
 }
 

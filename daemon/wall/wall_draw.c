@@ -24,7 +24,8 @@ struct sketch {
     struct wall_picture picture;
     const struct wall_def *d;
     const struct wall_layout *l;
-    double cell, left, top; /* of the wall in the picture */
+    double cell, left, top; /* of the whole wall in the picture, whose corner may lie outside */
+    double right;           /* where the part that is drawn ends */
 };
 
 static struct ink thin(struct ink ink, double alpha)
@@ -139,8 +140,8 @@ static void draw_begin(struct sketch *s, unsigned board, uint32_t k)
     if (s->cell < 8)
         return;
     // Held inside the wall, where the next panel's rings do not hide it.
-    const double w = canvas_text_width(scale, text), right = s->left + s->d->width * s->cell;
-    const double at = x + radius + 3.0 * scale + w <= right ? x + radius + 3.0 * scale : x - radius - 3.0 * scale - w;
+    const double w = canvas_text_width(scale, text);
+    const double at = x + radius + 3.0 * scale + w <= s->right ? x + radius + 3.0 * scale : x - radius - 3.0 * scale - w;
     draw_label(s, at, y - canvas_text_height(scale) / 2, scale, bright, text);
 }
 
@@ -245,22 +246,45 @@ static unsigned cell_for(uint32_t width, uint32_t height, unsigned cell)
     return fit < 1 ? 1 : fit > CELL_AUTO_MAX ? CELL_AUTO_MAX : fit;
 }
 
+/* The part of the canvas that is drawn: what has panels, and a pixel around it. A machine's share of a large wall is seen
+ * as large as a wall of that size. */
+struct part {
+    uint32_t x0, y0, x1, y1;
+};
+
+static struct part part_of(const struct wall_def *d, const struct wall_layout *l)
+{
+    return (struct part){ l->x0 ? l->x0 - 1 : 0, l->y0 ? l->y0 - 1 : 0, l->x1 < d->width ? l->x1 + 1 : d->width,
+                          l->y1 < d->height ? l->y1 + 1 : d->height };
+}
+
+static void subtitle(const struct wall_def *d, const struct wall_layout *l, const struct part *part, char *out, size_t size)
+{
+    const int used = snprintf(out, size, "%u x %u pixels, %u LEDs on %u board%s", d->width, d->height, l->lit, d->n_boards,
+                              d->n_boards == 1 ? "" : "s");
+    if (part->x1 - part->x0 < d->width || part->y1 - part->y0 < d->height)
+        snprintf(out + used, size - (size_t)used, "; shown from pixel %u, %u to %u, %u", part->x0, part->y0, part->x1 - 1, part->y1 - 1);
+}
+
 int wall_draw_layout(struct wall_picture *out, const struct wall_def *d, const struct wall_layout *l, unsigned cell, struct fault *f)
 {
-    struct sketch s = { .d = d, .l = l, .cell = cell_for(d->width, d->height, cell), .left = MARGIN };
-    char title[160], size[96];
-    snprintf(title, sizeof(title), "%s", d->name);
-    snprintf(size, sizeof(size), "%u x %u pixels, %u LEDs on %u board%s", d->width, d->height, l->lit, d->n_boards,
-             d->n_boards == 1 ? "" : "s");
-    const double head = canvas_text_height(TITLE_SCALE) + ROW, wall_w = d->width * s.cell, wall_h = d->height * s.cell;
-    s.top = MARGIN + head + ROW / 2;
-    const double foot = s.top + wall_h + ROW, legend = ROW * (d->n_boards + 3.5);
-    const double widest = fmax(fmax(wall_w, legend_width(&s)), fmax(canvas_text_width(TITLE_SCALE, title), canvas_text_width(TEXT_SCALE, size)));
+    const struct part part = part_of(d, l);
+    const uint32_t width = part.x1 - part.x0, height = part.y1 - part.y0;
+    struct sketch s = { .d = d, .l = l, .cell = cell_for(width, height, cell) };
+    char size[160];
+    subtitle(d, l, &part, size, sizeof(size));
+    const double top = MARGIN + canvas_text_height(TITLE_SCALE) + ROW + ROW / 2, wall_w = width * s.cell, wall_h = height * s.cell;
+    const double foot = top + wall_h + ROW, legend = ROW * (d->n_boards + 3.5);
+    const double words = fmax(canvas_text_width(TITLE_SCALE, d->name), canvas_text_width(TEXT_SCALE, size));
+    const double widest = fmax(fmax(wall_w, legend_width(&s)), words);
+    s.left = MARGIN - part.x0 * s.cell;
+    s.top = top - part.y0 * s.cell;
+    s.right = MARGIN + wall_w;
     if (canvas_init(&s.picture, (uint64_t)widest + 2 * MARGIN, (uint64_t)(foot + legend) + MARGIN / 2, paper, f) < 0)
         return -1;
-    canvas_text(&s.picture, MARGIN, MARGIN, TITLE_SCALE, bright, title);
+    canvas_text(&s.picture, MARGIN, MARGIN, TITLE_SCALE, bright, d->name);
     canvas_text(&s.picture, MARGIN, MARGIN + canvas_text_height(TITLE_SCALE) + 10, TEXT_SCALE, faint, size);
-    canvas_rectangle(&s.picture, s.left, s.top, wall_w, wall_h, 0, ground);
+    canvas_rectangle(&s.picture, MARGIN, top, wall_w, wall_h, 0, ground);
     draw_panels(&s);
     for (unsigned i = 0; i < d->n_boards; i++)
         draw_leds(&s, i);
