@@ -174,6 +174,38 @@ static void bind_picture(const struct picture *from, struct vk_draw *d, struct p
     u->frame[2] = (int32_t)t->groups;
 }
 
+/* Where a level's Gaussian can be above 0 on the wall's rows. */
+enum { RECTS_MAX = 3 * LIT_MAX };
+struct lit_part {
+    unsigned count;
+    VkRect2D rect[RECTS_MAX];
+};
+
+static uint32_t held(double v, uint32_t most) { return v <= 0 ? 0 : v >= most ? most : (uint32_t)v; }
+
+static bool lit_part(const struct frame *fr, const struct wall_work *k, const struct wall_source *s, struct lit_part *out)
+{
+    const struct lit *l = fr->lit;
+    const struct bloom_wall *w = fr->wall;
+    const uint32_t rows = w->end_y - w->first_y;
+    // Light gets less than 4 cells of a level away on its way there, as far again on its way back, and half the taps between.
+    const double cell = ldexp(1, (int)s->level), reach_x = 4 * cell;
+    const double reach_y = (8 + fr->b->plan->gaussian[s->gaussian].y.half) * cell;
+    double area = 0;
+    out->count = 0;
+    for (unsigned c = 0; l && c < k->channels; c++)
+        for (unsigned i = 0; i < l->count; i++) {
+            const uint32_t x0 = held(floor(((l->x0[i] - reach_x) / cell + LEVEL_MARGIN) / 4) - 1, s->texels);
+            const uint32_t x1 = held(ceil(((l->x1[i] + reach_x) / cell + LEVEL_MARGIN) / 4) + 1, s->texels);
+            const double top = (l->y0[i] - reach_y + w->frame_y - w->y) / w->pitch_y - w->first_y;
+            const double bottom = (l->y1[i] + reach_y + w->frame_y - w->y) / w->pitch_y - w->first_y;
+            const uint32_t y0 = held(floor(top) - 1, rows), y1 = held(ceil(bottom) + 1, rows);
+            out->rect[out->count++] = (VkRect2D){ { (int32_t)(s->column + x0), (int32_t)(c * rows + y0) }, { x1 - x0, y1 - y0 } };
+            area += (double)(x1 - x0) * (y1 - y0);
+        }
+    return l && area < 0.8 * s->texels * rows * k->channels;
+}
+
 static int record_rows(struct frame *fr, struct wall_work *k, const struct wall_source *s, const struct picture *from,
                        const double gain[3])
 {
@@ -193,6 +225,11 @@ static int record_rows(struct frame *fr, struct wall_work *k, const struct wall_
     bind_picture(from, &d, u);
     d.bands = t && !from->output ? k->channels : 1;
     d.area = (VkRect2D){ { (int32_t)s->column, 0 }, { s->texels, rows * k->channels } };
+    struct lit_part part;
+    if (s->gaussian >= 0 && lit_part(fr, k, s, &part)) {
+        d.rects = part.rect;
+        d.n_rects = part.count;
+    }
     vk_draw(&fr->b->commands, &d);
     return 0;
 }

@@ -3,8 +3,8 @@
 #extension GL_GOOGLE_include_directive : require
 // A wall's picture, first half of a resampling: down the columns to the wall's rows, times a gain. A fragment makes 4 cells side by side
 // of one wall row of one channel; the channels stand below each other, the sources beside each other. What is read, one of:
-// -D INPUT a target's planes, drawn in one band a channel, so that planes[0] is this channel's (three planes at once are more
-// streams than a CPU fetches ahead: 2x the time); -D OUTPUT its first output (rows in 4 images by y % 4: 0 to 2 in planes, 3
+// -D INPUT a target's planes, drawn in one band a channel, so that planes[0] is this channel's (three planes at once, and
+// taps in fours, took 16 ms where this takes 9 to 11: which of the two it was has not been measured apart); -D OUTPUT its first output (rows in 4 images by y % 4: 0 to 2 in planes, 3
 // in matte_plane); else a level, -D LAYERED E at full size. -D HALF as in bright.frag.
 //
 // Sums go up the rows one by one from 0: weights of 0 at either end change no bit, so that how a table is cut and where the target lies

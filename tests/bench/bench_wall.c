@@ -11,7 +11,7 @@
 
 #include "bench.h"
 
-enum { WIDTH = 1920, HEIGHT = 1080, PASSES = 64, TURNS = 7 };
+enum { WIDTH = 1920, HEIGHT = 1080, PASSES = 64, TURNS = 15 };
 
 static char pass_name[PASSES][40];
 static double pass_ms[PASSES][TURNS];
