@@ -15,6 +15,7 @@
 
 #include "body.h"
 #include "request.h"
+#include "wall_message.h"
 
 enum { READ_ONCE_BYTES = 1024 * 1024, UNSENT_REPLIES_MAX = 256, RETRY_MIN_MS = 20, RETRY_MAX_MS = 60000 };
 
@@ -389,6 +390,8 @@ static struct job *make_job(struct client *c, const struct conn_message *m, cons
     j->id = m->header.id;
     int rc = a->asset ? request_read_asset(j, a->asset, m->fds, m->header.n_fds, f)
                       : request_read(j, a->bloom, m->fds, m->header.n_fds, f);
+    if (rc == 0 && j->output_kind == JOB_OUTPUT_WALL)
+        rc = walls_claim(j->wall, c, f);
     if (rc < 0 || start(c, j, a->input->size, f) < 0) {
         job_drop(c->host, j);
         return NULL;
@@ -515,6 +518,61 @@ static void on_status(struct client *c, const struct conn_message *m)
     queued(c, reply_status(c->conn, m->header.id, &c->host->facts, &s));
 }
 
+struct preview { // on its way to the client
+    struct block_pool *blocks;
+    struct block *block;
+};
+
+static void preview_written(void *ctx)
+{
+    struct preview *p = ctx;
+    block_give(p->blocks, p->block);
+    free(p);
+}
+
+static int send_preview(struct client *c, uint64_t id, struct block *block, uint64_t bytes)
+{
+    struct preview *p = malloc(sizeof *p);
+    int rc = p ? 0 : -ENOMEM;
+    if (p) {
+        *p = (struct preview){ &c->host->blocks, block };
+        rc = conn_send_data(c->conn, id, block->data, bytes, preview_written, p);
+    }
+    if (rc < 0) {
+        free(p);
+        block_give(&c->host->blocks, block);
+    }
+    return rc;
+}
+
+static void on_wall(struct client *c, const struct conn_message *m)
+{
+    struct fault f = { .code = FAULT_NONE };
+    const struct client_host *h = c->host;
+    const uint64_t id = m->header.id;
+    const struct wall_desk desk = { h->walls, h->job.assets, h->sched, h->job.blocks };
+    const Airy__Wall *w = body_unpack(&airy__wall__descriptor, m->body, m->header.body_bytes, &c->arena, &f);
+    Airy__WallReply *r = NULL;
+    struct block *preview = NULL;
+    uint64_t bytes = 0;
+    if (w && (!id || job_find(c, id))) {
+        fault_set(&f, id ? FAULT_DUPLICATE_ID : FAULT_UNEXPECTED, "id", "WALL with %s; expected an id of its own",
+                  id ? "the id of a request in flight" : "request id 0");
+        w = NULL;
+    }
+    if (w && h->draining) {
+        fault_set(&f, FAULT_SHUTTING_DOWN, "", "the daemon is stopping");
+        w = NULL;
+    }
+    if (!w || wall_message(&desk, w, c, &c->arena, &r, &preview, &bytes, &f) < 0) {
+        refuse(c, id, 0, &f);
+        return;
+    }
+    if (preview && queued(c, send_preview(c, id, preview, bytes)) < 0)
+        return;
+    queued(c, body_send(c->conn, WIRE_WALL_REPLY, id, &r->base, NULL, 0));
+}
+
 static void dispatch(struct client *c, const struct conn_message *m)
 {
     if (c->state == CLIENT_READY) {
@@ -524,6 +582,7 @@ static void dispatch(struct client *c, const struct conn_message *m)
         case WIRE_DATA: on_data(c, m); return;
         case WIRE_CANCEL: on_cancel(c, m); return;
         case WIRE_STATUS: on_status(c, m); return;
+        case WIRE_WALL: on_wall(c, m); return;
         default: break;
         }
     } else if (m->header.type == WIRE_HELLO) {
@@ -683,6 +742,7 @@ void client_destroy(struct client *c)
     if (!c)
         return;
     jobs_abandon(c);
+    walls_client_gone(c->host->walls, c);
     conn_destroy(c->conn); // gives up the place of a message that is half read
     if (c->sink_dead)
         job_drop(c->host, c->sink);

@@ -28,6 +28,7 @@ struct client_host { /* what the clients of one server share; the server's */
     struct job_env job;
     struct block_pool blocks;
     struct asset_cache assets;
+    struct walls *walls;
     struct metrics metrics;
     struct client_timeouts timeout;
     unsigned clients;

@@ -202,6 +202,38 @@ void exr_bind(struct exr *x, unsigned target, const struct planes *in, const str
         t->out[i] = out[i];
 }
 
+static int crop_one(struct exr_state *t, const struct exr_state *like, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1)
+{
+    if (t->pub.part != like->pub.part)
+        return 0;
+    frame_scan_finish(&t->pub.scan);
+    t->crop_x = x0;
+    t->crop_y = y0;
+    t->pub.min_x += (int32_t)x0;
+    t->pub.min_y += (int32_t)y0;
+    t->pub.width = x1 - x0;
+    t->pub.height = y1 - y0;
+    return frame_scan_init(&t->pub.scan, t->pub.width, t->pub.height);
+}
+
+int exr_crop(struct exr *x, unsigned target, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1, struct fault *f)
+{
+    const struct exr_state *like = &x->target[target];
+    assert(x0 < x1 && y0 < y1 && x1 <= like->pub.width && y1 <= like->pub.height && !like->crop_x && !like->crop_y);
+    for (unsigned i = 0; i < x->targets; i++) {
+        const struct exr_state *t = &x->target[i];
+        // What is read for it lies in the same part or in one of the same window; of that only the whole can be had.
+        const bool other = (like->pub.source == (int)i || like->pub.matte == (int)i || like->pub.depth == (int)i) &&
+                           t->pub.part != like->pub.part;
+        if (other || (t->pub.part == like->pub.part && t->luma_chroma))
+            return 0;
+    }
+    for (unsigned i = 0; i < x->targets; i++)
+        if (crop_one(&x->target[i], like, x0, y0, x1, y1))
+            return fault_set(f, FAULT_NO_MEMORY, "", "no memory for a scan");
+    return 1;
+}
+
 struct exr_counts exr_counts(const struct exr *x)
 {
     struct exr_counts c = { .saturated = atomic_load(&x->saturated) };

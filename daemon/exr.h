@@ -72,7 +72,8 @@ struct exr_target {
                              subsampled or recombined from luminance-chroma; else FLOAT */
     float luma[3];       /* relative luminance weights from chromaticities, else Rec.709; of a source: its scene's */
     float pixel_aspect;
-    uint32_t display_width; /* of the display window */
+    int32_t display_x, display_y; /* display window */
+    uint32_t display_width, display_height;
     uint32_t grow;       /* set by the caller after exr_open, before exr_bind: pixels by which the data window of the
                             target's part grows on each side; equal for all scenes of a part */
     struct frame_scan scan; /* filled by decode tasks */
@@ -88,6 +89,11 @@ void exr_close(struct exr *x); /* NULL is fine */
 
 unsigned exr_target_count(const struct exr *x);
 struct exr_target *exr_target(struct exr *x, unsigned i);
+
+/* Only the pixels x0 <= x < x1, y0 <= y < y1 of the target's window are wanted (not empty, within it), of it and of what is read for it:
+ * their corner, size and scan become the part's. For who only reads: nothing can be encoded after it. Once, before exr_bind; not for
+ * luminance-chroma, whose rows are made of neighbours (0: all stays as it was). 1: cropped; 0; -1 and *f. */
+int exr_crop(struct exr *x, unsigned target, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1, struct fault *f);
 
 /* Whether the output can have the targets' grow: 0, or -1 and *f. exr_encode_begin asks, too; who asks before
  * it takes memory for the planes takes none in vain. */

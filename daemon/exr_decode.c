@@ -148,14 +148,20 @@ int exr_plan_decode(struct exr *x, struct fault *f)
 
 // ---- one chunk ------------------------------------------------------------------------------------------------
 
+// The part of row y that the target's planes have.
 static void put_row(const struct exr_state *t, unsigned plane, const struct exr_channel *c,
                     const struct exr_chunk *k, uint32_t y, const uint8_t *in, uint16_t *scratch)
 {
-    uint8_t *row = planes_row(&t->in, plane, y) + (size_t)k->x * pixel_bytes(t->in.type);
+    const uint32_t first = k->x > t->crop_x ? k->x : t->crop_x;
+    const uint32_t end = k->x + k->width < t->crop_x + t->pub.width ? k->x + k->width : t->crop_x + t->pub.width;
+    if (y < t->crop_y || y - t->crop_y >= t->pub.height || first >= end)
+        return;
+    uint8_t *row = planes_row(&t->in, plane, y - t->crop_y) + (size_t)(first - t->crop_x) * pixel_bytes(t->in.type);
+    in += (size_t)(first - k->x) * pixel_bytes((enum pixel_type)c->type);
     if (t->in.type == PIXEL_TYPE_HALF)
-        memcpy(row, in, 2 * (size_t)k->width);
+        memcpy(row, in, 2 * (size_t)(end - first));
     else
-        exr_row_to_float((float *)(void *)row, in, c->type, k->width, scratch);
+        exr_row_to_float((float *)(void *)row, in, c->type, end - first, scratch);
 }
 
 static void put_rows(struct exr *x, const struct exr_part *p, const struct exr_chunk *k, uint16_t *scratch)
@@ -182,8 +188,21 @@ static void scan_band(struct exr *x, const struct exr_part *p, const struct exr_
         if (t->pub.part != p->index || t->luma_chroma)
             continue;
         for (uint32_t y = b->row; y < b->row + b->rows; y++)
-            frame_scan_row(&t->pub.scan, &t->in, y, t->pub.luma);
+            if (y >= t->crop_y && y - t->crop_y < t->pub.height)
+                frame_scan_row(&t->pub.scan, &t->in, y - t->crop_y, t->pub.luma);
     }
+}
+
+// Does any target show some of it? (A part with targets that are not cropped: always.)
+static bool wanted(const struct exr *x, const struct exr_part *p, const struct exr_chunk *k)
+{
+    for (unsigned i = 0; i < x->targets; i++) {
+        const struct exr_state *t = &x->target[i];
+        if (t->pub.part == p->index && k->x < t->crop_x + t->pub.width && k->x + k->width > t->crop_x &&
+            k->y < t->crop_y + t->pub.height && k->y + k->height > t->crop_y)
+            return true;
+    }
+    return false;
 }
 
 static int finish_chroma(struct exr *x, const struct exr_part *p, struct fault *f)
@@ -205,6 +224,8 @@ int exr_decode(struct exr *x, unsigned task, struct exr_worker *w, struct fault 
     if (!scratch)
         return fault_set(f, FAULT_NO_MEMORY, "", "no memory for a row");
     for (uint32_t i = t->first; i < t->first + t->count; i++) {
+        if (!wanted(x, p, &p->chunk[i]))
+            continue;
         if (exr_decode_chunk(x, p, &p->chunk[i], w, f))
             return -1;
         put_rows(x, p, &p->chunk[i], scratch);

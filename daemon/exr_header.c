@@ -124,7 +124,10 @@ static int parse_window(struct exr_part *p, const struct exr_attr *a, struct fau
                          "%s of part %u is (%lld %lld) - (%lld %lld), which is no window", a->name, p->index,
                          (long long)v[0], (long long)v[1], (long long)v[2], (long long)v[3]);
     if (display) {
+        p->display_x = (int32_t)v[0];
+        p->display_y = (int32_t)v[1];
         p->display_width = (uint32_t)(v[2] - v[0] + 1);
+        p->display_height = (uint32_t)(v[3] - v[1] + 1);
         return 0;
     }
     p->min_x = (int32_t)v[0];
@@ -329,8 +332,12 @@ static int parse_header(struct exr *x, struct exr_part *p, const uint8_t **at, u
     if (more < 0)
         return -1;
     p->header_end = *at - 1;
-    if (!(seen & DISPLAY))
+    if (!(seen & DISPLAY)) {
+        p->display_x = p->min_x;
+        p->display_y = p->min_y;
         p->display_width = p->width;
+        p->display_height = p->height;
+    }
     if (storage_of(x, p, type_bytes, f) || check_required(x, p, seen, f))
         return -1;
     return 0;

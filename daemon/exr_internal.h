@@ -119,7 +119,8 @@ struct exr_part {
     bool has_chromaticities;
     float chromaticities[8];
     int64_t chunk_count_attr;           /* -1: absent */
-    uint32_t display_width;             /* the data window's when the file says none */
+    int32_t display_x, display_y;       /* display window; the data window when the file says none */
+    uint32_t display_width, display_height;
 
     struct exr_channel *channel;
     unsigned channels;
@@ -163,6 +164,7 @@ struct exr_task {
 
 struct exr_state {
     struct exr_target pub;
+    uint32_t crop_x, crop_y;   /* of the planes' first pixel in the part; the planes are pub's width x height */
     bool luma_chroma;
     uint8_t chroma_sampling;   /* 1 or 2 */
     float yw[3];               /* luminance-chroma: weights of the file's Y */

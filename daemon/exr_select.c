@@ -143,7 +143,8 @@ struct exr_state *exr_target_new(struct exr *x, struct exr_part *p, struct exr_c
                                       .min_x = p->min_x, .min_y = p->min_y, .width = p->width,
                                       .height = p->height, .channels = n, .type = PIXEL_TYPE_HALF,
                                       .luma = { 1 }, .pixel_aspect = p->pixel_aspect,
-                                      .display_width = p->display_width },
+                                      .display_x = p->display_x, .display_y = p->display_y,
+                                      .display_width = p->display_width, .display_height = p->display_height },
                              .luma_chroma = chroma,
                              .chroma_sampling = chroma ? (uint8_t)c[1]->x_sampling : 1 };
     const bool space = part_luma(p, t->yw);

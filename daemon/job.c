@@ -43,6 +43,7 @@ static void release_work(struct job *j)
     asset_release(j->env->assets, j->dirt);
     asset_release(j->env->assets, j->kernel);
     j->dirt = j->kernel = NULL;
+    job_wall_release(j);
     payload_finish(&j->input, j->env->blocks);
 }
 
@@ -149,6 +150,8 @@ static int open_targets(struct job *j, struct fault *f)
                          "%u layers would be bloomed or read for it; at most %d at once: select some", n,
                          BLOOM_TARGETS_MAX);
     j->n_targets = n;
+    if (j->wall)
+        return 0;
     for (unsigned i = 0; i < n; i++)
         if (grow_read(j, exr_target(j->exr, i), f) < 0)
             return -1;
@@ -157,7 +160,8 @@ static int open_targets(struct job *j, struct fault *f)
 
 static int open_exr(struct job *j, struct fault *f)
 {
-    stamp(j);
+    if (!j->wall)
+        stamp(j);
     struct exr_select select = { .part = j->part,
                                  .layer = j->layer,
                                  .view = j->view,
@@ -188,10 +192,12 @@ static int open_raw(struct job *j, struct fault *f)
     // A file of unstated size is measured only now.
     if (!l->targets && raw_check(l, j->input.size, f) < 0)
         return -1;
+    j->n_targets = l->targets;
+    if (j->wall) // of the part that it needs
+        return 0;
     for (unsigned i = 0; i < l->targets; i++)
         if (l->target[i].role != RAW_DEPTH && scan_make(&j->raw_scan[i], l, f) < 0)
             return -1;
-    j->n_targets = l->targets;
     return 0;
 }
 
@@ -215,21 +221,24 @@ static int job_open(struct job *j, struct exr_worker *w, struct fault *f)
     j->input_bytes = j->input.size;
     if (j->kind == JOB_KEEPS)
         return keep(j, w, f);
-    return j->raw ? open_raw(j, f) : open_exr(j, f);
+    if ((j->raw ? open_raw(j, f) : open_exr(j, f)) < 0)
+        return -1;
+    return j->wall ? job_wall_open(j, f) : 0;
 }
 
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX])
 {
     const struct raw_layout *l = &j->layout;
+    const unsigned pictures = j->wall && bloom_wall_is_direct(&j->params) ? 0 : 1;
     for (unsigned i = 0; i < j->n_targets; i++) {
         if (j->raw) {
             const struct raw_target *t = &l->target[i];
-            g[i] = (struct bloom_geometry){ l->width, l->height, t->planes, t->type, 0, t->role == RAW_SCENE };
+            g[i] = (struct bloom_geometry){ l->width, l->height, t->planes, t->type, 0, t->role == RAW_SCENE ? pictures : 0 };
             continue;
         }
         const struct exr_target *t = exr_target(j->exr, i);
         g[i] = (struct bloom_geometry){ t->width, t->height, t->channels, t->type, t->grow,
-                                        t->role == EXR_SCENE ? 1 + j->params.layer_count : 0 };
+                                        t->role == EXR_SCENE ? pictures + j->params.layer_count : 0 };
     }
     return j->n_targets;
 }
@@ -306,7 +315,7 @@ static void request_raw(const struct job *j, struct bloom_request *r)
     r->depth = raw_find(l, RAW_DEPTH);
     memcpy(r->luma, luma_of(j), sizeof r->luma);
     r->pixel_aspect = 1;
-    r->display_width = l->width;
+    r->display_width = j->walled ? j->of_wall.frame_width : l->width;
 }
 
 // The index of what was asked for, when the reader has made it a target of that role; else -1.
@@ -361,14 +370,21 @@ static bool is_scene(const struct job *j, unsigned i)
 static int bloom_scene(struct job *j, unsigned i, struct bloom *b, struct bloom_slot *s, struct fault *f)
 {
     struct bloom_request request;
+    struct bloom_wall wall;
+    struct bloom_adapt adapt;
     struct job_target *out;
     if (scene_begin(j, i, &request, &out, f) < 0)
         return -1;
     count_samples(out, request.scan);
     if (j->params.nonfinite == NONFINITE_REJECT && reject_nonfinite(out, f) < 0)
         return -1;
+    if (j->wall && job_wall_begin(j, &wall, &adapt, f) < 0)
+        return -1;
+    request.wall = j->wall ? &wall : NULL;
     if (bloom_run(b, s, i, &request, &out->bloom, f) < 0)
         return -1;
+    if (j->wall)
+        job_wall_end(j, &adapt, &out->bloom);
     j->untouched[i] = out->bloom.untouched;
     j->ms.bloom += out->bloom.device_ms;
     return 0;
@@ -380,7 +396,8 @@ int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault
     j->n_scenes = 0;
     for (unsigned i = 0; i < j->n_targets && !j->cancel; i++) {
         j->untouched[i] = true;
-        if (is_scene(j, i) && bloom_scene(j, i, b, s, f) < 0)
+        // A wall shows one picture.
+        if (is_scene(j, i) && !(j->wall && j->n_scenes) && bloom_scene(j, i, b, s, f) < 0)
             return -1;
     }
     return 0;
@@ -401,6 +418,10 @@ static bool plan_is_nothing(const struct params *p, struct bloom_reply *r)
 int job_plan(struct job *j, struct bloom *b, struct fault *f)
 {
     struct bloom_geometry g[BLOOM_TARGETS_MAX];
+    if (j->wall && job_wall_plan(j, b, f) < 0)
+        return -1;
+    if (j->kind != JOB_PLANS)
+        return 0;
     job_geometry(j, g);
     j->n_scenes = 0;
     for (unsigned i = 0; i < j->n_targets && !j->cancel; i++) {
@@ -555,6 +576,8 @@ static int finish_output(struct job *j, struct fault *f)
 {
     if (j->kind != JOB_BLOOMS)
         return 0;
+    if (j->wall)
+        return job_wall_finish(j, f);
     if (j->raw)
         j->counts.saturated = j->raw_saturated;
     else if (finish_exr(j, f) < 0)
@@ -599,4 +622,6 @@ void job_rewind(struct job *j)
     for (unsigned i = 0; i < RAW_ROLES; i++)
         scan_clear(&j->raw_scan[i]);
     j->n_targets = j->n_scenes = 0;
+    if (j->wall)
+        job_wall_rewind(j);
 }

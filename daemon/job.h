@@ -6,11 +6,13 @@
  *     WAITING   sched's queues  the fair ones
  *     OPEN      pool            the bytes are read or mapped, the headers parsed, the targets chosen; an upload that
  *                               is to be kept is decoded, and ends here
- *     PLAN      device thread   of a request that wants only the plan, which ends here
+ *     PLAN      device thread   of a request that wants only the plan, which ends here; of a wall's, when it is not known
+ *                               yet which part of such a frame the wall shows
  *     PREPARE   device thread   planes of the right size (skipped when a slot has them already)
  *     DECODE    pool, n tasks
  *     BLOOM     device thread
- *     BEGIN     pool            the encoder's start; a raw result's memory
+ *     BEGIN     pool            the encoder's start; a raw result's memory (a wall's frame ends with BLOOM: it is shown, or
+ *                               its drive is the result)
  *     ENCODE    pool, n tasks
  *     FINISH    pool            the file is put together, everything but the reply's material freed;
  *                               also where a job that failed or was cancelled comes to be freed
@@ -36,6 +38,7 @@
 #include "params.h"
 #include "payload.h"
 #include "raw.h"
+#include "walls.h"
 
 enum job_stage {
     JOB_UPLOAD,
@@ -53,7 +56,7 @@ enum job_stage {
 };
 
 enum job_kind { JOB_BLOOMS, JOB_PLANS, JOB_KEEPS };
-enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE };
+enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE, JOB_OUTPUT_WALL };
 
 enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 128 };
 
@@ -66,6 +69,7 @@ struct job_env { /* what all jobs share; constant */
     struct job_limits limits;
     struct block_pool *blocks;
     struct asset_cache *assets;
+    struct walls *walls;
 };
 
 struct job_target { /* what the reply says of a scene */
@@ -76,6 +80,20 @@ struct job_target { /* what the reply says of a scene */
     struct bloom_reply bloom;
     double energy_input;
     uint64_t nan, positive_inf, negative_inf, negative, first_nonfinite;
+};
+
+struct job_wall { /* of a frame for a wall */
+    uint64_t present_ns;             /* CLOCK_MONOTONIC; 0: at the next tick */
+    /* The frame that the target is a part of, and where: the request's for raw pictures, else the target itself. */
+    uint32_t frame_width, frame_height;
+    int32_t x, y;
+    uint32_t whole_width, whole_height, crop_x, crop_y; /* of a raw picture: as it came, and what is left out of it */
+    struct bloom_wall geometry;      /* as if the frame were the target; from OPEN on */
+    int32_t corner[2];               /* of the frame in the display window */
+    bool placed;                     /* the target is cut to need */
+    bool has_need;
+    int32_t need[4];                 /* x0, y0, x1, y1 of the frame */
+    struct block *drive;
 };
 
 struct sched_flow;
@@ -93,6 +111,9 @@ struct job {
     enum job_kind kind;
     struct params params;
     struct asset *dirt, *kernel; /* references; NULL: none */
+    bool walled;                 /* a frame for a wall */
+    struct wall_ref *wall;       /* a reference, until FINISH; NULL: no wall's frame */
+    struct job_wall of_wall;
     bool raw;
     struct raw_layout layout;
     char part[256], layer[256], view[256];
@@ -108,6 +129,8 @@ struct job {
     const struct job_env *env;
     TAILQ_ENTRY(job) link;
     bool linked; /* in a queue by `link` */
+    TAILQ_ENTRY(job) of_order; /* a wall's: of those not yet bloomed */
+    bool ordered;
     struct sched_flow *flow;
     struct sched_slot *slot;
     unsigned tasks, next_task, running;
@@ -149,6 +172,8 @@ unsigned job_tasks(const struct job *j);
 /* Runs one. 0, or -1 and *f. */
 int job_task(struct job *j, unsigned task, struct exr_worker *w, struct fault *f);
 
+/* After OPEN: must PLAN come before the planes are known? */
+bool job_wants_plan(const struct job *j);
 /* After OPEN: what planes are needed. Returns their number. */
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX]);
 /* Hands the planes of the job's slot to the decoder and encoder. */
@@ -156,6 +181,20 @@ void job_bind(struct job *j, const struct planes *in, const struct planes *out);
 /* PLAN and BLOOM, all scenes. */
 int job_plan(struct job *j, struct bloom *b, struct fault *f);
 int job_bloom(struct job *j, struct bloom *b, struct bloom_slot *s, struct fault *f);
+/* job_wall.c. What is asked for fits a wall: 0, or -1 and *f. */
+int job_wall_check(const struct job *j, struct fault *f);
+/* In OPEN, with targets: where the frame lies on the wall; cut to what the wall needs when that is known from a frame like it. */
+int job_wall_open(struct job *j, struct fault *f);
+/* In PLAN: cut to what it needs. */
+int job_wall_plan(struct job *j, struct bloom *b, struct fault *f);
+/* In BLOOM: the request's wall, with room for the drive in *w; then the picture goes to its wall, or into the result. */
+int job_wall_begin(struct job *j, struct bloom_wall *w, struct bloom_adapt *adapt, struct fault *f);
+void job_wall_end(struct job *j, const struct bloom_adapt *adapt, const struct bloom_reply *reply);
+/* In FINISH: the result's payload. */
+int job_wall_finish(struct job *j, struct fault *f);
+void job_wall_release(struct job *j); /* all but the result */
+void job_wall_rewind(struct job *j);
+
 /* Back to before OPEN, the input's bytes kept: its planes are lost with their device. */
 void job_rewind(struct job *j);
 

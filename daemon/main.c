@@ -20,6 +20,8 @@ enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
 struct options {
     const char *socket, *device, *warm;
     uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s, asset_bytes;
+    const char *wall[WALLS_MAX];
+    unsigned n_walls;
     int lifetime_fd;
     bool validate, verbose;
 };
@@ -61,6 +63,7 @@ static const char usage[] =
     "                             follow (default 256M)\n"
     "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
     "      --lifetime-fd N        stop when this inherited pipe's other end is closed\n"
+    "      --wall FILE            drive this LED wall, airy-wall(5), from the start; up to 4\n"
     "      --warm WORD            draw with all pipelines before the first request, with the common ones\n"
     "                             only, or then with the others when idle (default idle; common with\n"
     "                             --lifetime-fd, where somebody waits)\n"
@@ -80,6 +83,7 @@ enum option_id {
     OPT_TIMEOUT,
     OPT_ASSETS,
     OPT_LIFETIME,
+    OPT_WALL,
     OPT_WARM,
     OPT_VALIDATE,
     OPT_VERBOSE,
@@ -99,6 +103,7 @@ static const struct option options_known[] = {
     { "timeout-s", required_argument, NULL, OPT_TIMEOUT },
     { "asset-bytes", required_argument, NULL, OPT_ASSETS },
     { "lifetime-fd", required_argument, NULL, OPT_LIFETIME },
+    { "wall", required_argument, NULL, OPT_WALL },
     { "warm", required_argument, NULL, OPT_WARM },
     { "validate", no_argument, NULL, OPT_VALIDATE },
     { "verbose", no_argument, NULL, OPT_VERBOSE },
@@ -144,6 +149,13 @@ static void take_option(struct options *o, int id, const char *arg)
             fprintf(stderr, "airyd: --lifetime-fd: descriptor %d is not open\n", o->lifetime_fd);
             exit(EXIT_USAGE);
         }
+        break;
+    case OPT_WALL:
+        if (o->n_walls == WALLS_MAX) {
+            fprintf(stderr, "airyd: --wall: \"%s\" is one too many; at most %d are driven\n", arg, WALLS_MAX);
+            exit(EXIT_USAGE);
+        }
+        o->wall[o->n_walls++] = arg;
         break;
     case OPT_WARM:
         if (strcmp(arg, "all") && strcmp(arg, "common") && strcmp(arg, "idle")) {
@@ -235,10 +247,12 @@ static void configure(struct server_config *c, const struct options *o)
         .max_clients = (unsigned)o->max_clients,
         .max_jobs = jobs_for(o->max_clients),
         .timeouts = { .hello = timeout_ms, .write = timeout_ms, .upload = timeout_ms, .linger = 1000 },
+        .n_walls = o->n_walls,
         .lifetime_fd = o->lifetime_fd,
         .log = say,
         .verbose = o->verbose,
     };
+    memcpy(c->wall, o->wall, sizeof c->wall);
 }
 
 static int open_listener(struct listener *l, const struct options *o, struct fault *f)

@@ -58,7 +58,7 @@ static void device(Airy__Device *out, const struct bloom_device_info *d)
 int reply_welcome(struct conn *c, const struct reply_facts *facts)
 {
     static char *features[] = { "exr", "raw", "inline", "memfd", "file", "buffer", "progress",
-                                "asset", "plan" };
+                                "asset", "plan", "wall" };
     Airy__Welcome w = AIRY__WELCOME__INIT;
     Airy__Limits l = AIRY__LIMITS__INIT;
     Airy__Device d;
@@ -208,6 +208,14 @@ int reply_result(struct conn *c, struct job *j, const struct reply_facts *facts)
     r.notes = notes;
     r.n_notes = j->n_notes;
     r.exposure = j->scene[0].bloom.exposure;
+    Airy__Region need = AIRY__REGION__INIT;
+    if (j->of_wall.has_need) {
+        need.x = j->of_wall.need[0] + j->of_wall.corner[0];
+        need.y = j->of_wall.need[1] + j->of_wall.corner[1];
+        need.width = (uint32_t)(j->of_wall.need[2] - j->of_wall.need[0]);
+        need.height = (uint32_t)(j->of_wall.need[3] - j->of_wall.need[1]);
+        r.need = &need;
+    }
     bool memfd = j->output_kind == JOB_OUTPUT_MEMFD;
     int rc = body_send(c, WIRE_RESULT, j->id, &r.base, memfd ? &j->output.fd : NULL, memfd);
     if (rc == 0 && memfd)

@@ -4,6 +4,7 @@
 
 #include <fcntl.h>
 #include <limits.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
@@ -233,10 +234,19 @@ static int read_output(struct job *j, const Airy__Output *o, struct fd_list *fds
     switch (kind) {
     case AIRY__OUTPUT__KIND__INLINE: j->output_kind = JOB_OUTPUT_INLINE; return 0;
     case AIRY__OUTPUT__KIND__MEMFD: j->output_kind = JOB_OUTPUT_MEMFD; return 0;
-    case AIRY__OUTPUT__KIND__BUFFER: return read_buffer(j, o, fds, f);
+    case AIRY__OUTPUT__KIND__BUFFER:
+        if (j->wall)
+            return fault_set(f, FAULT_PAYLOAD, "output.kind",
+                             "BUFFER for a wall's picture; expected 0 (INLINE), 1 (MEMFD) or 3 (WALL)");
+        return read_buffer(j, o, fds, f);
+    case AIRY__OUTPUT__KIND__WALL:
+        if (!j->wall)
+            return fault_set(f, FAULT_PAYLOAD, "output.kind", "WALL, and no wall is named; expected wall.name");
+        j->output_kind = JOB_OUTPUT_WALL;
+        return 0;
     default:
         return fault_set(f, FAULT_PAYLOAD, "output.kind",
-                         "kind %d; expected 0 (INLINE), 1 (MEMFD) or 2 (BUFFER)", kind);
+                         "kind %d; expected 0 (INLINE), 1 (MEMFD), 2 (BUFFER) or 3 (WALL)", kind);
     }
 }
 
@@ -255,13 +265,42 @@ static void close_unused(const struct fd_list *l)
             close(l->fds[i]);
 }
 
+// The wall's own exposure holds where the request says none.
+static void take_exposure(struct params *p, const struct wall_def *d)
+{
+    if (params_has(p, "exposure"))
+        return;
+    p->exposure_auto = d->exposure_auto;
+    if (d->exposure_auto)
+        p->key *= exp2(d->exposure);
+    else
+        p->exposure = d->exposure;
+}
+
+static int read_wall(struct job *j, const Airy__WallTarget *w, struct fault *f)
+{
+    if (!w)
+        return 0;
+    j->wall = walls_find(j->env->walls, w->name, f);
+    if (!j->wall)
+        return -1;
+    j->walled = true;
+    j->of_wall.present_ns = w->present_ns;
+    j->of_wall.frame_width = w->frame_width;
+    j->of_wall.frame_height = w->frame_height;
+    j->of_wall.x = w->x;
+    j->of_wall.y = w->y;
+    take_exposure(&j->params, j->wall->def);
+    return job_wall_check(j, f);
+}
+
 int request_read(struct job *j, const Airy__Bloom *b, const int *fds, unsigned n_fds, struct fault *f)
 {
     struct fd_list list = { .fds = fds, .n = n_fds };
     int rc = -1;
     j->kind = b->plan_only ? JOB_PLANS : JOB_BLOOMS;
     if (read_params(j, b, f) < 0 || read_input(j, b->input, &list, f) < 0 || read_format(j, b, f) < 0 ||
-        read_output(j, b->output, &list, f) < 0 || fds_used(&list, f) < 0)
+        read_wall(j, b->wall, f) < 0 || read_output(j, b->output, &list, f) < 0 || fds_used(&list, f) < 0)
         goto done;
     j->wants_progress = b->progress;
     rc = 0;

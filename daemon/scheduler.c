@@ -9,6 +9,9 @@
 #include <sys/eventfd.h>
 #include <unistd.h>
 
+// Of a wall: one is read, one decoded, one bloomed, one waits for its turn.
+enum { WALL_SLOTS = 4 };
+
 static void event(struct sched *s)
 {
     uint64_t one = 1;
@@ -30,6 +33,19 @@ static void unlink_job(struct job_queue *q, struct job *j)
     j->linked = false;
 }
 
+static struct sched_lane *lane_of(struct sched *s, const struct job *j)
+{
+    return &s->lane[j->walled ? LANE_WALLS : LANE_FRAMES];
+}
+
+// Somebody of the pool can do something for this lane.
+static void wake_pool(struct sched_lane *l)
+{
+    if (l->name == LANE_WALLS)
+        pthread_cond_signal(&l->sched->wall_wake);
+    pthread_cond_broadcast(&l->sched->pool_wake);
+}
+
 // ---- slots -----------------------------------------------------------------------------------------
 
 static bool same_geometry(const struct sched_slot *slot, unsigned count, const struct bloom_geometry *g)
@@ -43,14 +59,14 @@ static bool same_geometry(const struct sched_slot *slot, unsigned count, const s
 }
 
 // A free slot, best one that fits as it is: then the device thread need not be asked. True when it does.
-static bool slot_take(struct sched *s, struct job *j)
+static bool slot_take(struct sched_lane *l, struct job *j)
 {
     struct bloom_geometry g[BLOOM_TARGETS_MAX];
     unsigned count = job_geometry(j, g);
     struct sched_slot *found = NULL;
     bool fits = false;
-    for (unsigned i = 0; i < s->slots && !fits; i++) {
-        struct sched_slot *slot = &s->slot[i];
+    for (unsigned i = 0; i < l->slots && !fits; i++) {
+        struct sched_slot *slot = &l->slot[i];
         if (slot->job)
             continue;
         fits = same_geometry(slot, count, g);
@@ -70,13 +86,13 @@ static bool slot_take(struct sched *s, struct job *j)
 }
 
 // Ends the job's time between OPEN and ENCODE.
-static void slot_leave(struct sched *s, struct job *j)
+static void slot_leave(struct sched_lane *l, struct job *j)
 {
     if (j->slot)
         j->slot->job = NULL;
     j->slot = NULL;
-    s->admitted--;
-    pthread_cond_broadcast(&s->pool_wake);
+    l->admitted--;
+    wake_pool(l);
 }
 
 // ---- stages ----------------------------------------------------------------------------------------
@@ -85,45 +101,63 @@ static bool in_pipeline(enum job_stage stage) { return stage >= JOB_OPEN && stag
 
 static bool ending(const struct job *j) { return j->fault.code != FAULT_NONE || j->cancel; }
 
+static void order_leave(struct sched_lane *l, struct job *j)
+{
+    if (!j->ordered)
+        return;
+    TAILQ_REMOVE(&l->order, j, of_order);
+    j->ordered = false;
+    pthread_cond_signal(&l->device_wake);
+}
+
 static void enter(struct sched *s, struct job *j, enum job_stage stage)
 {
+    struct sched_lane *l = lane_of(s, j);
     if (in_pipeline((enum job_stage)j->stage) && !in_pipeline(stage))
-        slot_leave(s, j);
+        slot_leave(l, j);
+    if (stage > JOB_BLOOM)
+        order_leave(l, j);
     j->stage = stage;
     j->stage_ns = clock_ns();
     j->next_task = 0;
     if (j->wants_progress)
         event(s);
     if (stage == JOB_DONE) {
-        s->running--;
+        l->running--;
         link_job(&s->done, j);
         event(s);
         return;
     }
     j->tasks = job_tasks(j);
-    link_job(&s->stage[stage], j);
+    link_job(&l->stage[stage], j);
     if (job_stage_on_device(stage))
-        pthread_cond_signal(&s->device_wake);
+        pthread_cond_signal(&l->device_wake);
     else
-        pthread_cond_broadcast(&s->pool_wake);
+        wake_pool(l);
 }
 
-static enum job_stage next_stage(struct sched *s, struct job *j)
+// What it needs is known: planes, or first those of the right size.
+static enum job_stage to_planes(struct sched_lane *l, struct job *j)
+{
+    if (!slot_take(l, j))
+        return JOB_PREPARE;
+    job_bind(j, j->slot->in, j->slot->out);
+    return JOB_DECODE;
+}
+
+static enum job_stage next_stage(struct sched_lane *l, struct job *j)
 {
     switch ((enum job_stage)j->stage) {
     case JOB_OPEN:
-        if (j->kind != JOB_BLOOMS)
-            return j->kind == JOB_PLANS ? JOB_PLAN : JOB_FINISH;
-        if (!slot_take(s, j))
-            return JOB_PREPARE;
-        job_bind(j, j->slot->in, j->slot->out);
-        return JOB_DECODE;
-    case JOB_PLAN: return JOB_FINISH;
+        if (j->kind == JOB_KEEPS)
+            return JOB_FINISH;
+        return j->kind == JOB_PLANS || job_wants_plan(j) ? JOB_PLAN : to_planes(l, j);
+    case JOB_PLAN: return j->kind == JOB_PLANS ? JOB_FINISH : to_planes(l, j);
     case JOB_PREPARE:
         job_bind(j, j->slot->in, j->slot->out);
         return JOB_DECODE;
     case JOB_DECODE: return JOB_BLOOM;
-    case JOB_BLOOM: return JOB_BEGIN;
+    case JOB_BLOOM: return j->walled ? JOB_FINISH : JOB_BEGIN;
     case JOB_BEGIN: return JOB_ENCODE;
     case JOB_ENCODE: return JOB_FINISH;
     default: return JOB_DONE;
@@ -148,12 +182,12 @@ static void advance(struct sched *s, struct job *j)
 {
     for (;;) {
         note_time(j);
-        enum job_stage next = ending(j) && j->stage != JOB_FINISH ? JOB_FINISH : next_stage(s, j);
+        enum job_stage next = ending(j) && j->stage != JOB_FINISH ? JOB_FINISH : next_stage(lane_of(s, j), j);
         enter(s, j, next);
         // A stage may have no task at all: every chunk is copied as it is.
         if (next == JOB_DONE || j->tasks)
             return;
-        unlink_job(&s->stage[next], j);
+        unlink_job(&lane_of(s, j)->stage[next], j);
     }
 }
 
@@ -161,13 +195,13 @@ static void advance(struct sched *s, struct job *j)
 static void withdraw(struct sched *s, struct job *j)
 {
     if (j->linked)
-        unlink_job(&s->stage[j->stage], j);
+        unlink_job(&lane_of(s, j)->stage[j->stage], j);
     j->next_task = j->tasks;
 }
 
-static struct job *claim_from(struct sched *s, enum job_stage stage, unsigned *task)
+static struct job *claim_from(struct sched_lane *l, enum job_stage stage, unsigned *task)
 {
-    struct job *j = TAILQ_FIRST(&s->stage[stage]);
+    struct job *j = TAILQ_FIRST(&l->stage[stage]);
     if (!j)
         return NULL;
     // Waiting for a thread is not the stage's time.
@@ -176,9 +210,9 @@ static struct job *claim_from(struct sched *s, enum job_stage stage, unsigned *t
     *task = j->next_task++;
     j->running++;
     if (j->next_task == j->tasks)
-        unlink_job(&s->stage[stage], j);
+        unlink_job(&l->stage[stage], j);
     if (in_pipeline(stage))
-        s->claimed++;
+        l->claimed++;
     return j;
 }
 
@@ -205,36 +239,52 @@ static struct job *fair_pop(struct sched *s)
     return NULL;
 }
 
-static void admit(struct sched *s, struct job *j)
+static void admit(struct sched_lane *l, struct job *j)
 {
-    s->waiting--;
-    s->running++;
-    s->admitted++;
+    l->n_waiting--;
+    l->running++;
+    l->admitted++;
     j->admitted_ns = clock_ns();
     j->ms.queue = (double)(j->admitted_ns - j->accepted_ns) / 1e6;
-    if (s->device_dead)
+    if (l->dead)
         fault_set(&j->fault, FAULT_DEVICE_LOST, "", "the Vulkan device was lost and could not be opened again");
+    if (l->name == LANE_WALLS) {
+        TAILQ_INSERT_TAIL(&l->order, j, of_order);
+        j->ordered = true;
+    }
     j->stage = JOB_OPEN;
-    if (ending(j))
-        enter(s, j, JOB_FINISH);
-    else
-        enter(s, j, JOB_OPEN);
+    enter(l->sched, j, ending(j) ? JOB_FINISH : JOB_OPEN);
 }
 
-struct job *sched_claim(struct sched *s, unsigned *task)
+static struct job *wall_pop(struct sched_lane *l)
+{
+    struct job *j = TAILQ_FIRST(&l->waiting);
+    if (j)
+        unlink_job(&l->waiting, j);
+    return j;
+}
+
+static struct job *claim_in(struct sched_lane *l, unsigned *task)
 {
     static const enum job_stage latest_first[] = { JOB_ENCODE, JOB_BEGIN, JOB_DECODE, JOB_OPEN };
-    struct job *j = claim_from(s, JOB_FINISH, task);
-    if (j || s->hold)
+    struct job *j = claim_from(l, JOB_FINISH, task);
+    if (j || l->hold)
         return j;
     for (size_t i = 0; i < sizeof latest_first / sizeof latest_first[0]; i++)
-        if ((j = claim_from(s, latest_first[i], task)))
+        if ((j = claim_from(l, latest_first[i], task)))
             return j;
-    if (s->admitted >= s->slots || !s->waiting || !(j = fair_pop(s)))
+    if (l->admitted >= l->slots || !l->n_waiting ||
+        !(j = l->name == LANE_WALLS ? wall_pop(l) : fair_pop(l->sched)))
         return NULL;
-    admit(s, j);
-    j = claim_from(s, JOB_FINISH, task);
-    return j ? j : claim_from(s, JOB_OPEN, task);
+    admit(l, j);
+    j = claim_from(l, JOB_FINISH, task);
+    return j ? j : claim_from(l, JOB_OPEN, task);
+}
+
+struct job *sched_claim(struct sched *s, bool walls_only, unsigned *task)
+{
+    struct job *j = claim_in(&s->lane[LANE_WALLS], task);
+    return j || walls_only ? j : claim_in(&s->lane[LANE_FRAMES], task);
 }
 
 // Of several tasks' faults the lowest task's counts, as it would with one thread.
@@ -250,9 +300,9 @@ static void note_fault(struct job *j, unsigned task, const struct fault *f)
 
 void sched_complete(struct sched *s, struct job *j, unsigned task, int rc, const struct fault *f)
 {
-    if (in_pipeline((enum job_stage)j->stage) && !job_stage_on_device((enum job_stage)j->stage) &&
-        --s->claimed == 0)
-        pthread_cond_broadcast(&s->quiet);
+    struct sched_lane *l = lane_of(s, j);
+    if (in_pipeline((enum job_stage)j->stage) && !job_stage_on_device((enum job_stage)j->stage) && --l->claimed == 0)
+        pthread_cond_broadcast(&l->quiet);
     j->running--;
     if (rc < 0)
         note_fault(j, task, f);
@@ -262,41 +312,51 @@ void sched_complete(struct sched *s, struct job *j, unsigned task, int rc, const
         advance(s, j);
 }
 
-struct job *sched_device_next(struct sched *s)
+// A wall's frame waits until those before it have been bloomed.
+static struct job *device_first(struct sched_lane *l, enum job_stage stage)
+{
+    struct job *j = TAILQ_FIRST(&l->stage[stage]);
+    if (stage != JOB_BLOOM || l->name == LANE_FRAMES)
+        return j;
+    j = TAILQ_FIRST(&l->order);
+    return j && j->stage == JOB_BLOOM && j->linked ? j : NULL;
+}
+
+struct job *sched_device_next(struct sched_lane *l)
 {
     static const enum job_stage in_order[] = { JOB_PLAN, JOB_PREPARE, JOB_BLOOM };
     enum job_stage stage = JOB_BLOOM;
     struct job *j = NULL;
     for (size_t i = 0; i < sizeof in_order / sizeof in_order[0] && !j; i++)
-        j = TAILQ_FIRST(&s->stage[stage = in_order[i]]);
+        j = device_first(l, stage = in_order[i]);
     if (!j)
         return NULL;
-    unlink_job(&s->stage[stage], j);
+    unlink_job(&l->stage[stage], j);
     j->next_task = j->tasks;
     j->running++;
     return j;
 }
 
 // The planes of every slot are gone with their device. Called with no task of the pipeline running.
-void sched_rewind_all(struct sched *s, const struct fault *f)
+void sched_rewind_all(struct sched_lane *l, const struct fault *f)
 {
-    for (unsigned i = 0; i < s->slots; i++) {
-        struct job *j = s->slot[i].job;
-        s->slot[i].job = NULL;
-        s->slot[i].prepared = false;
+    for (unsigned i = 0; i < l->slots; i++) {
+        struct job *j = l->slot[i].job;
+        l->slot[i].job = NULL;
+        l->slot[i].prepared = false;
         if (!j)
             continue;
-        withdraw(s, j);
+        withdraw(l->sched, j);
         j->slot = NULL;
-        if (j->retried || s->device_dead)
+        if (j->retried || l->dead)
             note_fault(j, 0, f);
         if (ending(j)) {
-            enter(s, j, JOB_FINISH);
+            enter(l->sched, j, JOB_FINISH);
             continue;
         }
         j->retried = true;
         job_rewind(j);
-        enter(s, j, JOB_OPEN);
+        enter(l->sched, j, JOB_OPEN);
     }
 }
 
@@ -347,8 +407,11 @@ void sched_submit(struct sched *s, struct sched_flow *flow, struct job *j)
     j->accepted_ns = clock_ns();
     j->flow = flow;
     j->stage = JOB_WAITING;
-    link_job(&flow->waiting, j);
-    s->waiting++;
+    struct sched_lane *l = lane_of(s, j);
+    link_job(j->walled ? &l->waiting : &flow->waiting, j);
+    l->n_waiting++;
+    if (j->walled)
+        pthread_cond_signal(&s->wall_wake);
     pthread_cond_signal(&s->pool_wake);
     pthread_mutex_unlock(&s->lock);
 }
@@ -362,9 +425,10 @@ void sched_cancel(struct sched *s, struct job *j)
         // already on its way out
     } else if (stage == JOB_WAITING) {
         // Freeing it is the pool's: it may hold a file whose close blocks.
-        unlink_job(&j->flow->waiting, j);
-        s->waiting--;
-        s->running++;
+        struct sched_lane *l = lane_of(s, j);
+        unlink_job(j->walled ? &l->waiting : &j->flow->waiting, j);
+        l->n_waiting--;
+        l->running++;
         enter(s, j, JOB_FINISH);
     } else {
         withdraw(s, j);
@@ -398,7 +462,11 @@ void sched_event_clear(struct sched *s)
 struct sched_counts sched_counts(struct sched *s)
 {
     pthread_mutex_lock(&s->lock);
-    struct sched_counts c = { s->waiting, s->running, s->device_dead };
+    struct sched_counts c = { .device_dead = s->lane[LANE_FRAMES].dead };
+    for (unsigned i = 0; i < LANES; i++) {
+        c.waiting += s->lane[i].n_waiting;
+        c.running += s->lane[i].running;
+    }
     pthread_mutex_unlock(&s->lock);
     return c;
 }
@@ -409,10 +477,37 @@ const struct bloom_device_info *sched_device(struct sched *s) { return &s->devic
 unsigned sched_validation_messages(struct sched *s)
 {
     sched_threads_stop(s);
-    return s->validation_messages + (s->bloom ? bloom_validation_messages(s->bloom) : 0);
+    unsigned messages = 0;
+    for (unsigned i = 0; i < LANES; i++) {
+        const struct sched_lane *l = &s->lane[i];
+        messages += l->validation_messages + (l->bloom ? bloom_validation_messages(l->bloom) : 0);
+    }
+    return messages;
+}
+
+int sched_open_walls(struct sched *s, struct fault *f)
+{
+    pthread_mutex_lock(&s->lock);
+    int rc = s->lane[LANE_WALLS].open || s->stopping ? 0 : sched_walls_start(s, f);
+    pthread_mutex_unlock(&s->lock);
+    return rc;
 }
 
 // ---- life ------------------------------------------------------------------------------------------
+
+static void lane_init(struct sched *s, enum sched_lane_name name, unsigned slots)
+{
+    struct sched_lane *l = &s->lane[name];
+    l->sched = s;
+    l->name = name;
+    l->slots = name == LANE_WALLS ? WALL_SLOTS : slots;
+    pthread_cond_init(&l->device_wake, NULL);
+    pthread_cond_init(&l->quiet, NULL);
+    TAILQ_INIT(&l->waiting);
+    TAILQ_INIT(&l->order);
+    for (unsigned i = 0; i < JOB_STAGES; i++)
+        TAILQ_INIT(&l->stage[i]);
+}
 
 int sched_create(struct sched **out, const struct sched_config *config, struct fault *f)
 {
@@ -421,13 +516,11 @@ int sched_create(struct sched **out, const struct sched_config *config, struct f
         return fault_set(f, FAULT_NO_MEMORY, "", "no memory for the scheduler");
     pthread_mutex_init(&s->lock, NULL);
     pthread_cond_init(&s->pool_wake, NULL);
-    pthread_cond_init(&s->device_wake, NULL);
-    pthread_cond_init(&s->quiet, NULL);
+    pthread_cond_init(&s->wall_wake, NULL);
     TAILQ_INIT(&s->users);
     TAILQ_INIT(&s->done);
-    for (unsigned i = 0; i < JOB_STAGES; i++)
-        TAILQ_INIT(&s->stage[i]);
-    s->slots = config->slots;
+    for (unsigned i = 0; i < LANES; i++)
+        lane_init(s, (enum sched_lane_name)i, config->slots);
     s->device = config->device;
     s->warm_idle = config->warm_idle;
     s->device.slots = config->slots;
@@ -455,19 +548,27 @@ static void queue_drop(struct job_queue *q)
     }
 }
 
+static void lane_finish(struct sched_lane *l)
+{
+    queue_drop(&l->waiting);
+    for (unsigned i = 0; i < JOB_STAGES; i++)
+        queue_drop(&l->stage[i]);
+    bloom_destroy(l->bloom);
+    pthread_cond_destroy(&l->quiet);
+    pthread_cond_destroy(&l->device_wake);
+}
+
 void sched_destroy(struct sched *s)
 {
     if (!s)
         return;
     sched_threads_stop(s);
-    for (unsigned i = 0; i < JOB_STAGES; i++)
-        queue_drop(&s->stage[i]);
+    for (unsigned i = 0; i < LANES; i++)
+        lane_finish(&s->lane[i]);
     queue_drop(&s->done);
-    bloom_destroy(s->bloom);
     if (s->event_fd >= 0)
         close(s->event_fd);
-    pthread_cond_destroy(&s->quiet);
-    pthread_cond_destroy(&s->device_wake);
+    pthread_cond_destroy(&s->wall_wake);
     pthread_cond_destroy(&s->pool_wake);
     pthread_mutex_destroy(&s->lock);
     free(s);

@@ -9,6 +9,8 @@
  *
  * (Named so, not sched.h: with this folder on the include path it would hide the system's.)
  *
+ * Jobs of walls do not take part in any of this: they have a lane of their own (scheduler_private.h).
+ *
  * One mutex guards every queue and every job's place in them. Tasks are claimed under it: they last a
  * hundred microseconds and more, a claim far below one, and a job that moved on cannot be claimed.
  */
@@ -39,6 +41,9 @@ struct sched_flow { /* one connection's line; embedded in its owner */
     struct job_queue waiting;
 };
 
+/* Jobs of walls (job->wall) need it, once, before the first: opens their own device in a thread of its own, so that nobody waits; jobs
+ * wait for it. Again is no harm. 0, or -1 and *f. */
+int sched_open_walls(struct sched *s, struct fault *f);
 /* Opens the device (which tests itself) and starts the threads. 0, or -1 and *f. */
 int sched_create(struct sched **out, const struct sched_config *config, struct fault *f);
 /* Stops the threads after what they are at; unfinished jobs are destroyed. NULL is fine. */
@@ -63,7 +68,7 @@ void sched_event_clear(struct sched *s);
 
 struct sched_counts {
     unsigned waiting, running;
-    bool device_dead; /* lost, and could not be had again: nothing more will be bloomed */
+    bool device_dead; /* that of frames, lost, and could not be had again: nothing more will be bloomed */
 };
 struct sched_counts sched_counts(struct sched *s);
 

@@ -4,6 +4,8 @@
 
 #include <stdio.h>
 #include <string.h>
+#include <sys/resource.h>
+#include <unistd.h>
 
 static void say(struct sched *s, const char *line)
 {
@@ -11,19 +13,25 @@ static void say(struct sched *s, const char *line)
         s->log(line);
 }
 
+// Ahead of a farm's work on the same cores, where the system allows it; threads that it starts inherit it.
+static void hurry(void)
+{
+    // Of the calling thread alone: Linux keeps niceness by thread.
+    (void)!setpriority(PRIO_PROCESS, (id_t)gettid(), -8);
+}
+
 // ---- pool ------------------------------------------------------------------------------------------
 
-static void *pool_main(void *arg)
+static void pool_run(struct sched *s, bool walls_only)
 {
-    struct sched *s = arg;
     struct exr_worker *worker = NULL;
     int error = exr_worker_create(&worker);
     pthread_mutex_lock(&s->lock);
     while (!s->stopping) {
         unsigned task = 0;
-        struct job *j = sched_claim(s, &task);
+        struct job *j = sched_claim(s, walls_only, &task);
         if (!j) {
-            pthread_cond_wait(&s->pool_wake, &s->lock);
+            pthread_cond_wait(walls_only ? &s->wall_wake : &s->pool_wake, &s->lock);
             continue;
         }
         pthread_mutex_unlock(&s->lock);
@@ -38,73 +46,93 @@ static void *pool_main(void *arg)
     }
     pthread_mutex_unlock(&s->lock);
     exr_worker_destroy(worker);
+}
+
+static void *pool_main(void *arg)
+{
+    pool_run(arg, false);
+    return NULL;
+}
+
+static void *wall_pool_main(void *arg)
+{
+    hurry();
+    pool_run(arg, true);
     return NULL;
 }
 
 // ---- device ----------------------------------------------------------------------------------------
 
-static int open_device(struct sched *s, struct fault *f)
+static int open_device(struct sched_lane *l, struct fault *f)
 {
-    if (bloom_create(&s->bloom, &s->device, f) < 0) {
-        s->bloom = NULL;
-        s->warming = false;
+    struct bloom_options o = l->sched->device;
+    o.slots = l->slots;
+    // A wall asks for few pipelines, and for those at once.
+    if (l->name == LANE_WALLS)
+        o.warm_all = false;
+    if (bloom_create(&l->bloom, &o, f) < 0) {
+        l->bloom = NULL;
+        l->warming = false;
         return -1;
     }
-    s->warming = s->warm_idle;
-    for (unsigned i = 0; i < s->slots; i++)
-        s->slot[i].engine = bloom_slot(s->bloom, i);
+    l->warming = l->name == LANE_FRAMES && l->sched->warm_idle;
+    for (unsigned i = 0; i < l->slots; i++)
+        l->slot[i].engine = bloom_slot(l->bloom, i);
     return 0;
 }
 
-static int device_task(struct sched *s, struct job *j, struct fault *f)
+static int device_task(struct sched_lane *l, struct job *j, struct fault *f)
 {
     struct sched_slot *slot = j->slot;
-    if (!s->bloom)
+    if (!l->bloom)
         return fault_set(f, FAULT_DEVICE_LOST, "", "the Vulkan device was lost and could not be opened again");
     if (j->stage == JOB_PLAN)
-        return job_plan(j, s->bloom, f);
+        return job_plan(j, l->bloom, f);
     if (j->stage == JOB_BLOOM)
-        return job_bloom(j, s->bloom, slot->engine, f);
-    return bloom_slot_prepare(s->bloom, slot->engine, slot->count, slot->geometry, slot->in, slot->out, f);
+        return job_bloom(j, l->bloom, slot->engine, f);
+    return bloom_slot_prepare(l->bloom, slot->engine, slot->count, slot->geometry, slot->in, slot->out, f);
 }
 
 // Under the lock. A new device, once; each job that was in the pipeline starts again on it, once.
-static void device_replace(struct sched *s, const struct fault *f)
+static void device_replace(struct sched_lane *l, const struct fault *f)
 {
+    struct sched *s = l->sched;
     char line[400];
     snprintf(line, sizeof line, "the device is lost (%s); opening it again", f->text);
     say(s, line);
-    s->hold = true;
-    while (s->claimed)
-        pthread_cond_wait(&s->quiet, &s->lock);
+    l->hold = true;
+    while (l->claimed)
+        pthread_cond_wait(&l->quiet, &s->lock);
     pthread_mutex_unlock(&s->lock);
-    unsigned messages = bloom_validation_messages(s->bloom);
-    bloom_destroy(s->bloom);
-    s->bloom = NULL;
+    unsigned messages = bloom_validation_messages(l->bloom);
+    bloom_destroy(l->bloom);
+    l->bloom = NULL;
     struct fault again = { .code = FAULT_NONE };
-    int rc = open_device(s, &again);
+    int rc = open_device(l, &again);
     if (rc < 0) {
         snprintf(line, sizeof line, "the device cannot be opened again: %s", again.text);
         say(s, line);
     }
     pthread_mutex_lock(&s->lock);
-    s->validation_messages += messages;
-    s->device_dead = rc < 0;
-    sched_rewind_all(s, f);
-    s->hold = false;
+    l->validation_messages += messages;
+    l->dead = rc < 0;
+    sched_rewind_all(l, f);
+    l->hold = false;
     pthread_cond_broadcast(&s->pool_wake);
+    pthread_cond_broadcast(&s->wall_wake);
 }
 
 // Under the lock; nobody waits for the device. A step is short, so that who comes meanwhile hardly waits.
-static void warm_step(struct sched *s)
+static void warm_step(struct sched_lane *l)
 {
+    struct sched *s = l->sched;
     struct fault f;
     pthread_mutex_unlock(&s->lock);
-    bool more = bloom_warm_next(s->bloom, &f);
+    bool more = bloom_warm_next(l->bloom, &f);
     pthread_mutex_lock(&s->lock);
-    s->warming = more;
+    l->warming = more;
     if (f.code == FAULT_DEVICE_LOST) {
-        device_replace(s, &f);
+        device_replace(l, &f);
     } else if (f.code != FAULT_NONE) {
         char line[400];
         snprintf(line, sizeof line, "drawing with all pipelines: %s; those left draw when they are asked for", f.text);
@@ -114,35 +142,61 @@ static void warm_step(struct sched *s)
     }
 }
 
-static void *device_main(void *arg)
+// Under the lock.
+static void device_run(struct sched_lane *l)
 {
-    struct sched *s = arg;
-    pthread_mutex_lock(&s->lock);
+    struct sched *s = l->sched;
     while (!s->stopping) {
-        struct job *j = sched_device_next(s);
-        if (!j && s->warming) {
-            warm_step(s);
+        struct job *j = sched_device_next(l);
+        if (!j && l->warming) {
+            warm_step(l);
             continue;
         }
         if (!j) {
-            pthread_cond_wait(&s->device_wake, &s->lock);
+            pthread_cond_wait(&l->device_wake, &s->lock);
             continue;
         }
         pthread_mutex_unlock(&s->lock);
         struct fault f = { .code = FAULT_NONE };
-        int rc = device_task(s, j, &f);
+        int rc = device_task(l, j, &f);
         pthread_mutex_lock(&s->lock);
         // A plan touches no device; one that says so all the same has no slot to start again from.
-        if (rc < 0 && f.code == FAULT_DEVICE_LOST && s->bloom && j->slot) {
+        if (rc < 0 && f.code == FAULT_DEVICE_LOST && l->bloom && j->slot) {
             j->running--;
-            device_replace(s, &f);
+            device_replace(l, &f);
             continue;
         }
         if (j->stage == JOB_PREPARE)
             j->slot->prepared = rc == 0;
         sched_complete(s, j, 0, rc, &f);
     }
-    pthread_mutex_unlock(&s->lock);
+}
+
+static void *device_main(void *arg)
+{
+    struct sched_lane *l = arg;
+    pthread_mutex_lock(&l->sched->lock);
+    device_run(l);
+    pthread_mutex_unlock(&l->sched->lock);
+    return NULL;
+}
+
+// Of walls: its device is opened here, and its jobs wait for that.
+static void *wall_device_main(void *arg)
+{
+    struct sched_lane *l = arg;
+    struct fault f = { .code = FAULT_NONE };
+    hurry();
+    int rc = open_device(l, &f);
+    pthread_mutex_lock(&l->sched->lock);
+    if (rc < 0) {
+        char line[400];
+        snprintf(line, sizeof line, "no device for walls: %s", f.text);
+        say(l->sched, line);
+        l->dead = true;
+    }
+    device_run(l);
+    pthread_mutex_unlock(&l->sched->lock);
     return NULL;
 }
 
@@ -150,12 +204,12 @@ static void *device_main(void *arg)
 
 int sched_threads_start(struct sched *s, unsigned threads, struct fault *f)
 {
-    if (open_device(s, f) < 0)
+    struct sched_lane *l = &s->lane[LANE_FRAMES];
+    if (open_device(l, f) < 0)
         return -1;
-    s->device_info = *bloom_device(s->bloom);
-    s->validation_messages = 0;
-    int error = pthread_create(&s->device_thread, NULL, device_main, s);
-    s->device_started = !error;
+    s->device_info = *bloom_device(l->bloom);
+    int error = pthread_create(&l->device_thread, NULL, device_main, l);
+    l->open = !error;
     for (unsigned i = 0; i < threads && !error; i++) {
         error = pthread_create(&s->pool_thread[i], NULL, pool_main, s);
         s->threads_started += !error;
@@ -166,17 +220,37 @@ int sched_threads_start(struct sched *s, unsigned threads, struct fault *f)
     return 0;
 }
 
+int sched_walls_start(struct sched *s, struct fault *f)
+{
+    struct sched_lane *l = &s->lane[LANE_WALLS];
+    int error = 0;
+    if (!l->pool_started)
+        error = pthread_create(&l->pool_thread, NULL, wall_pool_main, s);
+    l->pool_started |= !error;
+    if (!error)
+        error = pthread_create(&l->device_thread, NULL, wall_device_main, l);
+    l->open = !error;
+    return error ? fault_set(f, FAULT_INTERNAL, "", "starting a thread for walls: %s", strerror(error)) : 0;
+}
+
 void sched_threads_stop(struct sched *s)
 {
     pthread_mutex_lock(&s->lock);
     s->stopping = true;
     pthread_cond_broadcast(&s->pool_wake);
-    pthread_cond_broadcast(&s->device_wake);
+    pthread_cond_broadcast(&s->wall_wake);
+    for (unsigned i = 0; i < LANES; i++)
+        pthread_cond_broadcast(&s->lane[i].device_wake);
     pthread_mutex_unlock(&s->lock);
-    if (s->device_started)
-        pthread_join(s->device_thread, NULL);
+    for (unsigned i = 0; i < LANES; i++) {
+        struct sched_lane *l = &s->lane[i];
+        if (l->open)
+            pthread_join(l->device_thread, NULL);
+        if (l->pool_started)
+            pthread_join(l->pool_thread, NULL);
+        l->open = l->pool_started = false;
+    }
     for (unsigned i = 0; i < s->threads_started; i++)
         pthread_join(s->pool_thread[i], NULL);
-    s->device_started = false;
     s->threads_started = 0;
 }

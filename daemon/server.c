@@ -2,6 +2,8 @@
 // server.c - see server.h.
 #include "server.h"
 
+#include "wall_file.h"
+
 #include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
@@ -336,6 +338,7 @@ static void host_init(struct server *s, const struct server_config *config)
     h->job.limits = config->limits;
     h->job.blocks = &h->blocks;
     h->job.assets = &h->assets;
+    h->job.walls = h->walls;
     struct exr_limits *e = &h->job.limits.exr;
     e->max_width = e->max_width < d->max_dimension ? e->max_width : d->max_dimension;
     e->max_height = e->max_height < d->max_dimension ? e->max_height : d->max_dimension;
@@ -345,6 +348,15 @@ static void host_init(struct server *s, const struct server_config *config)
                                      .device = *d };
     reply_clean(h->facts.device.name);
     reply_clean(h->facts.device.driver);
+}
+
+// The service's own walls. Their calibration is read as any image that a client sends.
+static int open_walls(struct server *s, const struct server_config *config, struct fault *f)
+{
+    for (unsigned i = 0; i < config->n_walls; i++)
+        if (wall_file_open(s->host.walls, &s->host.job, config->wall[i], f) < 0)
+            return -1;
+    return config->n_walls ? sched_open_walls(s->host.sched, f) : 0;
 }
 
 int server_create(struct server **out, const struct server_config *config, struct listener *l, struct fault *f)
@@ -361,9 +373,12 @@ int server_create(struct server **out, const struct server_config *config, struc
     TAILQ_INIT(&s->dead);
     block_pool_init(&s->host.blocks, config->idle_bytes_max);
     asset_cache_init(&s->host.assets, config->asset_bytes_max);
-    if (open_signals(s, f) < 0 || sched_create(&s->host.sched, &config->sched, f) < 0)
+    if (open_signals(s, f) < 0 || walls_create(&s->host.walls, &s->host.assets, config->log, f) < 0 ||
+        sched_create(&s->host.sched, &config->sched, f) < 0)
         goto fail;
     host_init(s, config);
+    if (open_walls(s, config, f) < 0)
+        goto fail;
     if (listener_listen(l, f) < 0 || open_watches(s, f) < 0)
         goto fail;
     *out = s;
@@ -385,6 +400,7 @@ void server_destroy(struct server *s)
     }
     reap(s);
     sched_destroy(s->host.sched);
+    walls_destroy(s->host.walls);
     asset_cache_finish(&s->host.assets);
     block_pool_finish(&s->host.blocks);
     listener_finish(s->listener);

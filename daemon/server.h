@@ -20,6 +20,8 @@ struct server_config {
     uint32_t max_requests;
     unsigned max_clients, max_jobs;
     struct client_timeouts timeouts;
+    const char *wall[WALLS_MAX]; /* files of definitions that are opened at the start */
+    unsigned n_walls;
     int lifetime_fd; /* -1: none; end of file there is as SIGTERM. The server's to close. */
     void (*log)(const char *line);
     bool verbose;

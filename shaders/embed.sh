@@ -57,6 +57,19 @@ for channels in 1 3; do
     one histogram_c$channels histogram.comp -DCHANNELS=$channels
     one histogram_c${channels}_half histogram.comp -DCHANNELS=$channels -DHALF
 done
+for channels in 1 3; do
+    c=c$channels d=-DCHANNELS=$channels
+    for from in input output; do
+        F=$(echo $from | tr a-z A-Z)
+        one wall_rows_${from}_$c wall_rows.frag $d -D$F
+        one wall_rows_${from}_${c}_half wall_rows.frag $d -D$F -DHALF
+    done
+    one wall_rows_level_$c wall_rows.frag $d
+    one wall_rows_layered_$c wall_rows.frag $d -DLAYERED
+    one wall_columns_$c wall_columns.frag $d
+    one wall_columns_add_$c wall_columns.frag $d -DADD
+done
+one wall_drive wall_drive.frag
 finish() { # header table: what `one` has gathered
     {
         echo "/* Made by shaders/embed.sh. */"

@@ -20,8 +20,10 @@ $(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixt
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
+$(T)/test_wall_colour: $(T)/reference/reference_led.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
+$(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
@@ -30,6 +32,17 @@ $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
 $(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+
+# Boards without hardware; these programs run under umockdev-wrapper.
+USB_KIT := $(T)/usb_kit.o $(T)/usb_kit_model.o
+USB_TESTS := $(T)/test_usb $(T)/test_usb_faults $(T)/test_panel $(T)/test_panel_gud
+$(T)/usb_kit.o: CPPFLAGS += $(call pkgcflags,umockdev-1.0)
+$(USB_TESTS): $(USB_KIT) $(T)/usb_rig.o
+$(USB_TESTS): TEST_LIBS += $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
+$(T)/test_usb: | $(T)/usb_probe
+$(T)/usb_probe: $(T)/usb_probe.o $(BUILD)/wall.a $(BUILD)/proto.a
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_WALL) -lprotobuf-c
 
 $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(call say,LD $@)
