@@ -160,7 +160,7 @@ install: all
 	ln -sf libairy.so.0 $(DESTDIR)$(PREFIX)/lib/libairy.so
 	install -m 644 $(BUILD)/libairy.a $(DESTDIR)$(PREFIX)/lib/
 	install -m 644 client/airy.h $(DESTDIR)$(PREFIX)/include/
-	install -m 644 client/airy.1 $(DESTDIR)$(PREFIX)/share/man/man1/
+	install -m 644 client/airy.1 client/airy-wall.1 $(DESTDIR)$(PREFIX)/share/man/man1/
 	install -m 644 client/airy-wall.5 $(DESTDIR)$(PREFIX)/share/man/man5/
 	install -m 644 proto/airy_proto.7 $(DESTDIR)$(PREFIX)/share/man/man7/
 	install -m 644 daemon/airyd.8 $(DESTDIR)$(PREFIX)/share/man/man8/

@@ -330,8 +330,8 @@ static void send_assets_again(struct play *p)
 static void linger(struct play *p)
 {
     uint64_t end_ns = p->running ? play_due_ns(&p->clock, p->clock.next) : stop_now_ns();
-    double rest_s = p->use.ours ? p->use.hold_s + p->use.fade_s : 0;
-    end_ns += (uint64_t)(rest_s * 1e9);
+    double rest_s = p->use.ours ? p->use.hold_s + p->use.fade_s : 0; /* held for ever: until Ctrl-C */
+    end_ns = rest_s < 1e9 ? end_ns + (uint64_t)(rest_s * 1e9) : UINT64_MAX;
     bool lit = true;
     while (!stop_asked() && stop_now_ns() < end_ns && lit && airy_fd(p->use.session.airy) >= 0) {
         if (stop_now_ns() >= p->report_ns)

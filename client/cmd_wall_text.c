@@ -148,9 +148,8 @@ void wall_text_stats(FILE *out, const struct airy_wall_state *w)
 /* ---- lists ------------------------------------------------------------------------------------------- */
 
 static const char access_hint[] =
-    "  A board that cannot be opened: give the daemon's user access by a udev rule, such as\n"
-    "    SUBSYSTEM==\"usb\", ATTR{idVendor}==\"1d50\", ATTR{idProduct}==\"607a\", GROUP=\"plugdev\", MODE=\"0660\"\n"
-    "  in /etc/udev/rules.d/70-airyd.rules, with that user in the group; then udevadm control --reload, and plug it in again.\n";
+    "  A board that cannot be opened: systemd/60-airy-wall.rules of airyd, in /etc/udev/rules.d, gives the group airy-wall the\n"
+    "  controllers; the daemon's user must be in it. Then udevadm control --reload, and plug the board in again.\n";
 
 static void list_controllers(FILE *out, const struct airy_wall_reply *r)
 {

@@ -40,9 +40,9 @@ static const char *definition(const char *name, const char *size, unsigned x, un
              "wall: %s\n"
              "size: %s\n"
              "rate: 100\n"
-             "%s"
              "panels:\n"
-             "  - {name: p, at: [%u, %u], size: [%u, %u]}\n",
+             "  - {name: p, at: [%u, %u], size: [%u, %u]}\n"
+             "%s",
              name, size, x, y, w, h, more);
     return text;
 }

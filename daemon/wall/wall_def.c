@@ -172,7 +172,7 @@ static void read_wall(struct wall_reader *r, const struct wall_node *root)
         wall_read_boards(r, v[BOARDS]);
     else
         wall_mistake(r, root, "the wall has no boards; expected \"boards:\" and a list of the controllers");
-    wall_check(r);
+    wall_def_check(r);
 }
 
 static int whole_or_fault(struct wall_reader *r, struct fault *f)

@@ -203,7 +203,7 @@ static void note_bus(struct wall_reader *r)
                   "40 MB/s", display_bytes * d->rate * 1e-6);
 }
 
-void wall_check(struct wall_reader *r)
+void wall_def_check(struct wall_reader *r)
 {
     struct wall_def *d = r->d;
     check_boards(r);

@@ -113,6 +113,6 @@ struct wall_wiring {
 };
 void wall_read_wiring(struct wall_reader *r, const struct wall_node *n, struct wall_wiring *out);
 /* Contradictions between the parts; wall_def_check.c. Sorts the runs. */
-void wall_check(struct wall_reader *r);
+void wall_def_check(struct wall_reader *r);
 
 #endif
