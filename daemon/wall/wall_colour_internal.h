@@ -25,8 +25,8 @@ struct curve_piece { float base, slope; };
  *
  * With dither the code is n + (light - L(n)) / (L(n + 1) - L(n)), L(n) the light of byte n, n the last byte that is not
  * too bright: then the time's mean of the LIGHT is what was asked for. (The curve's own inverse, dithered, would make the dark too
- * bright: half way from 0 to 1 it is 0.22 of byte 1's light at gamma 2.2, and would be shown as 0.5.) The two are at
- * most 0.01 code apart from byte 32 on. Without dither it is the curve's inverse, so that rounding finds the nearest code.
+ * bright: half way from 0 to 1 it is 0.22 of byte 1's light at gamma 2.2, and would be shown as 0.5.) At that gamma the two
+ * are at most 0.005 code apart from byte 32 on. Without dither it is the curve's inverse, so that rounding finds the nearest code.
  *
  * Error: a piece meets the code at both its ends; between them it is off by at most 1/4 of the piece's width in codes times the
  * share by which the slope changes, below 0.003 code for gamma up to 5 (test_wall_colour checks every knot).
