@@ -13,7 +13,6 @@
 
 #include "cmd_options.h"
 #include "cmd_wall_commands.h"
-#include "wall_def.h"
 #include "wall_draw.h"
 
 static const struct wall_command commands[] = {
@@ -32,7 +31,7 @@ static enum cmd_exit input_fault(const char *path, const char *why)
 }
 
 /* One byte more than allowed is read, so that a file that is too large is known as such, also a pipe. */
-static enum cmd_exit text_read(const char *path, char **text, size_t *bytes)
+enum cmd_exit wall_file_read(const char *path, char **text, size_t *bytes)
 {
     struct stat s;
     enum { ROOM = WALL_TEXT_MAX + 1 };
@@ -73,14 +72,13 @@ static void print_mistakes(const char *path, const struct wall_mistakes *m, bool
         fprintf(stderr, "%s:%u:%u: note: %s\n", path, m->note[i].line, m->note[i].column, m->note[i].text);
 }
 
-/* The definition in a file (wall_def_free it); mistakes go to stderr as "FILE:12:5: ...", notes too when `notes`. */
-static enum cmd_exit definition_read(const char *path, bool notes, struct wall_def **out)
+enum cmd_exit wall_file_parse(const char *path, bool notes, struct wall_def **out)
 {
     static struct wall_mistakes m;
     struct fault f = { .code = FAULT_NONE };
     char *text;
     size_t bytes;
-    enum cmd_exit result = text_read(path, &text, &bytes);
+    enum cmd_exit result = wall_file_read(path, &text, &bytes);
     if (result != CMD_DONE)
         return result;
     if (wall_def_parse(out, text, bytes, &m, &f) < 0) {
@@ -248,7 +246,7 @@ int cmd_wall_check(int argc, char **argv)
              "Exit status: 0 no mistakes; 2 usage; 3 mistakes, or no such file.");
         return CMD_DONE;
     }
-    if (result != CMD_DONE || (result = definition_read(a.file, true, &d)) != CMD_DONE)
+    if (result != CMD_DONE || (result = wall_file_parse(a.file, true, &d)) != CMD_DONE)
         return result;
     if (wall_layout_make(&l, d, &f) < 0) {
         cmd_complain("wall check: %s", f.text);
@@ -308,7 +306,7 @@ int cmd_wall_draw(int argc, char **argv)
              "Exit status: 0 done; 2 usage; 3 mistakes in the definition, or no such file; 4 the picture cannot be written.");
         return CMD_DONE;
     }
-    if (result != CMD_DONE || (result = definition_read(a.file, false, &d)) != CMD_DONE)
+    if (result != CMD_DONE || (result = wall_file_parse(a.file, false, &d)) != CMD_DONE)
         return result;
     result = draw(&a, d);
     wall_def_free(d);
