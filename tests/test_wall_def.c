@@ -179,8 +179,7 @@ static void test_keys(void **state)
     BAD(SHORT "picture: {tone_map: aces}\n", "4:11: picture.tone_map: unknown key; did you mean \"tone map\"?");
     BAD(SHORT "xylophone: 60\n", "4:1: xylophone: unknown key; expected one of: wall, size, rate, hold, fade, picture, colour, panels, *");
     BAD(SHORT "rate: 60\nrate: 61\n", "5:7: rate: said twice (first in line 4); expected once");
-    BAD("wall: w\n", "1:1: the wall has no panels; expected \"panels:\" and a list",
-        "1:1: the wall has no boards; expected \"boards:\" and a list of the controllers");
+    BAD("wall: w\n", "1:1: the wall has no panels; expected \"panels:\" and a list");
     BAD("", "1:1: the definition is empty; expected \"wall: NAME\" and what it is made of");
     BAD("[]", "1:1: a list of 0; expected keys with values, such as \"wall: ...\"");
     BAD("wall: w\npanels: []\nboards: x\n", "2:9: panels: a list of 0; expected a list of panels, each on a line that begins with \"- \"",

@@ -17,7 +17,7 @@ $(T)/test_engine $(HARD_TESTS) $(T)/test_property: $(T)/reference/reference.o $(
 $(HARD_TESTS): $(T)/hard_kit.o
 $(T)/test_wall_engine: $(T)/reference/reference.o $(T)/reference/reference_wall.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
-$(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_server $(T)/test_server_frames $(T)/test_server_life $(T)/test_server_walls: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o

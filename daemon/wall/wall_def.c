@@ -171,7 +171,7 @@ static void read_wall(struct wall_reader *r, const struct wall_node *root)
     if (v[BOARDS])
         wall_read_boards(r, v[BOARDS]);
     else
-        wall_mistake(r, root, "the wall has no boards; expected \"boards:\" and a list of the controllers");
+        wall_note(r, root, "the wall has no boards: no LED is lit; its pictures can be had by programs only");
     wall_def_check(r);
 }
 

@@ -174,7 +174,7 @@ static void note_undriven(struct wall_reader *r)
     uint32_t driven[WALL_PANELS_MAX] = { 0 };
     for (unsigned i = 0; i < d->n_runs; i++)
         driven[r->run[i].run.panel] += r->run[i].run.count;
-    for (unsigned i = 0; i < d->n_panels; i++) {
+    for (unsigned i = 0; i < d->n_panels && d->n_boards; i++) {
         const uint32_t leds = d->panel[i].width * d->panel[i].height;
         if (driven[i] < leds)
             wall_note(r, r->panel_at[i], "panel %s: %u of its %u LEDs are on no board and stay dark", d->panel[i].name, leds - driven[i],
