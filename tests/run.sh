@@ -54,6 +54,8 @@ keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OP
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
 pure="psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad frames exr exr_layers \
     exr_grow exr_bad raw asset libairy_asset server server_assets server_life server_frames server_looks"
+# Boards without hardware: the emulator's library comes first, before the sanitizer's.
+usb="panel panel_gud usb usb_faults"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched"
 
 # Two lanes, for the driver compiles shaders on one core: what draws with many of them in one process, and all else.
@@ -70,6 +72,11 @@ draw() {
 serve() {
     for t in $pure; do
         AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
+    done
+    for t in $usb; do
+        run "$t" umockdev-wrapper "$BUILD/tests/test_$t"
+        run "asan-$t" env ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0 umockdev-wrapper "$A/tests/test_$t"
+        run "tsan-$t" umockdev-wrapper "$S/tests/test_$t"
     done
     for s in tests/test_*.sh; do
         AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$(basename "${s%.sh}" | sed 's/^test_//')" bash "$s"
