@@ -264,7 +264,7 @@ static void test_one_serial_twice(void **state)
     rig_wait_state(b, USB_READY);
     kit_plug(k2);
     assert_true(rig_until(twins_reported, NULL));
-    const unsigned n = usb_list(u, f, 8);
+    const unsigned n = usb_list(u, f, 8, 3000);
     assert_int_equal(n, 2);
     assert_true(found_at(f, n, "TWIN", 0)->twice && found_at(f, n, "TWIN", 1)->twice);
     assert_true(found_at(f, n, "TWIN", 0)->in_use);
@@ -313,9 +313,9 @@ static void test_list(void **state)
         kit_plug(k[i]);
     struct usb *u = rig_usb();
     struct usb_found f[8];
-    assert_int_equal(usb_list(u, f, 8), 5);
-    assert_int_equal(usb_list(u, f, 2), 2);
-    assert_int_equal(usb_list(u, f, 8), 5);
+    assert_int_equal(usb_list(u, f, 8, 3000), 5);
+    assert_int_equal(usb_list(u, f, 2, 3000), 2);
+    assert_int_equal(usb_list(u, f, 8, 3000), 5);
     assert_int_equal(found_at(f, 5, "LISTED", 0)->kind, WALL_FADECANDY);
     assert_int_equal(found_at(f, 5, "LISTED", 0)->release, 0x0108);
     assert_int_equal(found_at(f, 5, "DISPLAY", 0)->kind, WALL_GUD);

@@ -237,7 +237,7 @@ static void test_one_lost_the_other_goes_on(void **state)
 static bool is_listed(void *arg)
 {
     struct usb_found found[2];
-    return usb_list(arg, found, 2) == 1 && found[0].serial[0];
+    return usb_list(arg, found, 2, 3000) == 1 && found[0].serial[0];
 }
 
 // A board that answers nothing while it is opened keeps no other one waiting.

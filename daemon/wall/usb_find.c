@@ -375,7 +375,8 @@ static void describe(const struct usb *u, const struct usb_entry *e, struct usb_
     *out = (struct usb_found){ .kind = e->ops->kind, .release = e->release, .in_use = e->used };
     memcpy(out->serial, e->serial, sizeof(out->serial));
     memcpy(out->path, e->path, sizeof(out->path));
-    snprintf(out->why, sizeof(out->why), "%s", e->read ? e->why : "its serial number is still being read");
+    out->reading = !e->read;
+    snprintf(out->why, sizeof(out->why), "%s", e->why);
     for (const struct usb_entry *o = u->entry; o; o = o->next)
         if (o != e && e->serial[0] && same_key(o, e->ops, e->serial))
             out->twice = true;
@@ -386,9 +387,9 @@ static int by_path(const void *a, const void *b)
     return strverscmp(((const struct usb_found *)a)->path, ((const struct usb_found *)b)->path);
 }
 
-unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max)
+unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max, unsigned wait_ms)
 {
-    const uint64_t end = usb_now_ns() + 3000000000ull;
+    const uint64_t end = usb_now_ns() + wait_ms * 1000000ull;
     unsigned n = 0;
     pthread_mutex_lock(&u->lock);
     for (struct usb_entry *e = u->entry; e;)
