@@ -160,9 +160,9 @@ static void a_list_says_what_to_do(void **state)
     assert_null(strstr(stream_text, "There is no USB"));
     assert_null(strstr(stream_text, "udev"));
     free(stream_text);
-    const struct airy_controller controllers[] = { { "fadecandy", "ABC", "1-4", "lobby", "" },
-                                                   { "gud", "", "1-5", "", "permission denied" },
-                                                   { "gud", "X", "1-6", "", "" } };
+    const struct airy_controller controllers[] = { { "fadecandy", "ABC", "1-4", "lobby", "", false },
+                                                   { "gud", "", "1-5", "", "permission denied", false },
+                                                   { "gud", "X", "1-6", "", "", false } };
     r = (struct airy_wall_reply){ .usb = "", .controllers = controllers, .n_controllers = 3 };
     f = stream();
     wall_text_list(f, &r);
