@@ -3,7 +3,7 @@
 
 PKGS_TEST += python3-protobuf python3-numpy python3-setuptools mypy
 
-PY_SOURCES := $(wildcard client/python/airy/*.py) client/python/airy/py.typed
+PY_SOURCES := $(wildcard client/python/airy/*.py client/python/airy/*.pyi) client/python/airy/py.typed
 PY_MODULES := $(patsubst client/python/%,$(BUILD)/python/%,$(PY_SOURCES))
 
 $(BUILD)/python/airy/%: client/python/airy/%

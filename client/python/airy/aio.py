@@ -209,13 +209,14 @@ class Client:
             raise errors.ConnectionLost("not connected yet")
         return self._connection.engine.welcome
 
-    async def bloom(self, source: payload.Source, **options: Any) -> result.Result:
+    async def bloom(self, frame: payload.Source, /, **options: Any) -> result.Result:
         """One frame; see airy.Client.bloom. For a time limit: asyncio.wait_for."""
-        return await (await self.submit(source, **options)).result()
+        return await (await self.submit(frame, **options)).result()
 
     async def submit(
         self,
-        source: payload.Source,
+        frame: payload.Source,
+        /,
         *,
         part: Union[str, int, None] = None,
         layer: Optional[str] = None,
@@ -233,7 +234,7 @@ class Client:
         return await self._submit(
             lambda engine: _request.bloom(
                 engine,
-                source,
+                frame,
                 params,
                 part=part,
                 layer=layer,
@@ -248,10 +249,10 @@ class Client:
             )
         )
 
-    async def plan(self, source: payload.Source, **options: Any) -> result.Result:
+    async def plan(self, frame: payload.Source, /, **options: Any) -> result.Result:
         extra = {k: options.pop(k) for k in _PLAN_OPTIONS & options.keys()}
         pending: Pending[result.Result] = await self._submit(
-            lambda engine: _request.bloom(engine, source, options, plan_only=True, **extra)
+            lambda engine: _request.bloom(engine, frame, options, plan_only=True, **extra)
         )
         return await pending.result()
 

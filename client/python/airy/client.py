@@ -190,14 +190,15 @@ class Client:
 
     # ---- verbs ---------------------------------------------------------------------------------
 
-    def bloom(self, source: payload.Source, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
+    def bloom(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
         """One frame: a path, EXR bytes, a NumPy array (height, width[, channels]) of float16 or float32, or airy.Raw.
         The options are submit()'s. After `timeout` seconds the request is cancelled, and TimeoutError raised."""
-        return self._finish(self.submit(source, **options), timeout)
+        return self._finish(self.submit(frame, **options), timeout)
 
     def submit(
         self,
-        source: payload.Source,
+        frame: payload.Source,
+        /,
         *,
         part: Union[str, int, None] = None,
         layer: Optional[str] = None,
@@ -220,7 +221,7 @@ class Client:
         return self._submit(
             lambda engine: _request.bloom(
                 engine,
-                source,
+                frame,
                 params,
                 part=part,
                 layer=layer,
@@ -235,11 +236,11 @@ class Client:
             )
         )
 
-    def plan(self, source: payload.Source, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
+    def plan(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
         """What would run, its bound and its time: nothing is bloomed. Takes submit()'s options, but output and progress."""
         extra = {k: options.pop(k) for k in _PLAN_OPTIONS & options.keys()}
         pending: Pending[result.Result] = self._submit(
-            lambda engine: _request.bloom(engine, source, options, plan_only=True, **extra)
+            lambda engine: _request.bloom(engine, frame, options, plan_only=True, **extra)
         )
         return self._finish(pending, timeout)
 
