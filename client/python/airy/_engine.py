@@ -21,6 +21,10 @@ BUSY_WAIT_S = (0.01, 5.0)  # whatever retry_after_ms says
 ProgressCallback = Callable[[str, float], None]
 
 
+def _nothing(_: Any) -> None:
+    pass
+
+
 class Request:
     """From submit to its one end; `on_end` is then called, from within whatever drives the engine."""
 
@@ -46,8 +50,8 @@ class Request:
         self.ended = False
         self.value: Any = None
         self.error: Optional[BaseException] = None
-        self.on_sent: Callable[[Request], None] = lambda _: None
-        self.on_end: Callable[[Request], None] = lambda _: None
+        self.on_sent: Callable[[Request], None] = _nothing
+        self.on_end: Callable[[Request], None] = _nothing
 
     @property
     def size(self) -> int:
@@ -223,7 +227,10 @@ class Engine:
         if request.error is None:
             request.error = error
         request.value = value
-        request.on_end(request)
+        on_end = request.on_end
+        # No cycle may keep a mapped frame alive until somebody collects garbage.
+        request.on_sent = request.on_end = _nothing
+        on_end(request)
 
     # ---- out -----------------------------------------------------------------------------------
 
@@ -304,6 +311,12 @@ class Engine:
             self._taken += n
             if not done:
                 return
+            if self._sets and self._sets[0].end <= self._taken:
+                raise errors.BadFds(
+                    f"{len(self._sets[0].fds)} descriptors came with bytes of {header.type.name} that its header "
+                    "does not state",
+                    field="header.n_fds",
+                )
             body, fds = bytes(self._part), self._fds
             self._part.clear()
             self._header, self._fds = None, []

@@ -117,12 +117,47 @@ def message_class(type: int) -> Any:
     return None if name is None else getattr(pb, name)
 
 
+def _check_fields(body: bytes, descriptor: Any) -> None:
+    """The fields follow one another to the end, and none is a group, which proto3 does not have: one of protobuf's Python
+    runtimes stops at the end of a group and returns what it has, with no more than a warning."""
+    at = 0
+    while at < len(body):
+        tag, at = _varint(body, at)
+        kind = tag & 7
+        if kind == 0:
+            _, at = _varint(body, at)
+        elif kind == 1:
+            at += 8
+        elif kind == 2:
+            n, at = _varint(body, at)
+            field = descriptor.fields_by_number.get(tag >> 3)
+            if field is not None and field.message_type is not None and at + n <= len(body):
+                _check_fields(body[at : at + n], field.message_type)
+            at += n
+        elif kind == 5:
+            at += 4
+        else:
+            raise ValueError(f"field {tag >> 3} has wire type {kind}")
+    if at != len(body):
+        raise ValueError(f"its last field ends at byte {at} of {len(body)}")
+
+
+def _varint(body: bytes, at: int) -> tuple[int, int]:
+    value = 0
+    for i, byte in enumerate(body[at : at + 10]):
+        value |= (byte & 127) << 7 * i
+        if byte < 128:
+            return value, at + i + 1
+    raise ValueError(f"the number at byte {at} has no end")
+
+
 def parse(type: int, body: bytes) -> Any:
     """The body as a message; raises BadBody."""
     cls = message_class(type)
     if cls is None:
         return None
     try:
+        _check_fields(body, cls.DESCRIPTOR)
         return cls.FromString(body)
     except (DecodeError, ValueError, RecursionError) as e:
         raise errors.BadBody(f"the body of {Type(type).name} cannot be decoded: {e}", field="body") from None

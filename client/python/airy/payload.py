@@ -72,7 +72,7 @@ Source = Union[Buffer, str, "os.PathLike[str]", Raw, Any]
 
 @dataclass
 class Prepared:
-    """A payload with its descriptors, which are this object's until close()."""
+    """A payload with its descriptors and memory, which are this object's until close()."""
 
     kind: int  # of pb.Payload
     size: int
@@ -85,7 +85,7 @@ class Prepared:
     def close(self) -> None:
         fds, self.fds = self.fds, []
         _transport.close_all(fds)
-        self.data = None
+        self.data = self.output = None
 
     def message(self) -> Any:
         return pb.Payload(kind=self.kind, fd=0, offset=0, size=self.size)
