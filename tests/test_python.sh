@@ -55,7 +55,7 @@ check() { # description, command...
 
 # Each prints TAP of its own: its lines are numbered anew, and its plan must agree.
 for t in vectors peer conformance live; do
-    timeout 200 "$python" -X dev "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
+    timeout 200 "$python" -W always::ResourceWarning "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
     status=$?
     plan=$(sed -n 's/^1\.\.//p' "$work/out")
     lines=$(grep -cE '^(not )?ok ' "$work/out")
@@ -69,6 +69,9 @@ for t in vectors peer conformance live; do
         "# "*) echo "$line" ;;
         esac
     done <"$work/out"
+    if grep -E 'ResourceWarning|RuntimeWarning|never awaited|never retrieved' "$work/err"; then
+        failed "$t leaves nothing behind" "$work/err"
+    fi
     if [ "${plan:-x}" != "$lines" ] || { [ $status -ne 0 ] && ! grep -q '^not ok' "$work/out"; }; then
         echo "exit status $status after $lines of ${plan:-?} tests" >>"$work/err"
         failed "$t ran to its end" "$work/err"

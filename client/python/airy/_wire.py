@@ -138,6 +138,8 @@ def _check_fields(body: bytes, descriptor: Any) -> None:
             at += 4
         else:
             raise ValueError(f"field {tag >> 3} has wire type {kind}")
+        if not 0 < tag >> 3 < 1 << 29:
+            raise ValueError(f"there is no field {tag >> 3}")
     if at != len(body):
         raise ValueError(f"its last field ends at byte {at} of {len(body)}")
 

@@ -166,7 +166,8 @@ class Live:
         def stop(stage: str, fraction: float) -> None:
             raise KeyError(stage)
 
-        raises(KeyError, lambda: self.client.bloom(self.payloads.file("scene"), progress=stop))
+        big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+        raises(KeyError, lambda: self.client.bloom(big, progress=stop))
         self.client.bloom(self.raw)
 
     def threads(self) -> None:
@@ -331,7 +332,9 @@ class Live:
             frames = [c.bloom(self.payloads.file("scene"), via=v, output=o) for v in ("inline", "memfd", "file") for o in ("inline", "memfd")]
             for r in await asyncio.gather(*frames):
                 need(r.tobytes() == want, "other bytes than the blocking client's")
-            await c.bloom(self.payloads.file("scene"), progress=lambda stage, _: seen.append(stage))
+            # Progress is told when there is time for it: of a frame that takes some.
+            big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+            await c.bloom(big, progress=lambda stage, _: seen.append(stage))
             need(seen, "no progress came")
             need((await c.plan(self.raw)).bound > 0, "the plan has no bound")
             equal((await c.asset(self.payloads["tiny"])).width, 2, "the asset's width")
