@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # python.mk - the Python package, ready to be imported from $(BUILD)/python. The daemon's build does not need it.
 
-PKGS_TEST += python3-protobuf python3-numpy python3-setuptools mypy
+PKGS_TEST += python3-protobuf python3-numpy python3-setuptools python3-wheel mypy
 
 PY_SOURCES := $(wildcard client/python/airy/*.py client/python/airy/*.pyi) client/python/airy/py.typed
 PY_MODULES := $(patsubst client/python/%,$(BUILD)/python/%,$(PY_SOURCES))

@@ -193,7 +193,9 @@ class Client:
     def bloom(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
         """One frame: a path, EXR bytes, a NumPy array (height, width[, channels]) of float16 or float32, or airy.Raw.
         The options are submit()'s. After `timeout` seconds the request is cancelled, and TimeoutError raised."""
-        return self._finish(self.submit(frame, **options), timeout)
+        deadline = None if timeout is None else time.monotonic() + timeout
+        pending = self.submit(frame, timeout=timeout, **options)
+        return self._finish(pending, None if deadline is None else max(0.0, deadline - time.monotonic()))
 
     def submit(
         self,
@@ -210,9 +212,11 @@ class Client:
         output: Optional[Output] = None,
         channels: Optional[Sequence[str]] = None,
         progress: Optional[ProgressCallback] = None,
+        timeout: Optional[float] = None,
         **params: Param,
     ) -> Pending[result.Result]:
-        """Sends a frame and returns at once, or as soon as the connection's credit allows; wait with .result().
+        """Sends a frame and returns at once, or as soon as the connection's credit allows, within `timeout` seconds (else
+        TimeoutError, and nothing was sent); wait with .result().
 
         part, layer, view (a stereo view), pixels, compression: of an EXR file, as `airy bloom` has them. show is the
         parameter `view`: what the picture shows. via: "inline", "memfd" or "file"; output: "inline", "memfd", or "buffer" (of raw
@@ -233,7 +237,8 @@ class Client:
                 output=output,
                 channels=channels,
                 progress=progress,
-            )
+            ),
+            timeout,
         )
 
     def plan(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
@@ -281,14 +286,15 @@ class Client:
                 self._connection = self._connect()
             return self._connection
 
-    def _submit(self, make: Callable[[Engine], Request]) -> Pending[_T]:
+    def _submit(self, make: Callable[[Engine], Request], timeout: Optional[float] = None) -> Pending[_T]:
         connection = self._live()
         request = make(connection.engine)
         with connection.lock:
             connection.engine.submit(request)
             connection.step(0)
         try:
-            _until(connection, lambda: request.sent or request.ended, None)
+            if not _until(connection, lambda: request.sent or request.ended, timeout):
+                raise TimeoutError(f"no credit for {request.size} bytes in {timeout:g} s")
         except BaseException:
             with connection.lock:
                 connection.engine.cancel(request)
