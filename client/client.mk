@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # client.mk - the airy command, and the demo with its two tools.
 
+include client/python/python.mk
+
 CMD := client/main.c $(wildcard client/cmd_*.c) client/frames.c client/progress.c
 
 $(BUILD)/airy: $(call obj,$(CMD)) $(BUILD)/client.a $(BUILD)/walldef.a $(BUILD)/proto.a
