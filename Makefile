@@ -154,7 +154,8 @@ install: all
 	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/lib $(DESTDIR)$(PREFIX)/include \
 	  $(DESTDIR)$(PREFIX)/share/man/man1 $(DESTDIR)$(PREFIX)/share/man/man5 \
 	  $(DESTDIR)$(PREFIX)/share/man/man7 $(DESTDIR)$(PREFIX)/share/man/man8 \
-	  $(DESTDIR)$(PREFIX)/share/doc/airyd $(DESTDIR)$(PREFIX)/lib/systemd/system
+	  $(DESTDIR)$(PREFIX)/share/doc/airyd $(DESTDIR)$(PREFIX)/lib/systemd/system \
+	  $(DESTDIR)$(PREFIX)/lib/udev/rules.d
 	install -m 755 $(BUILD)/airyd $(BUILD)/airy $(DESTDIR)$(PREFIX)/bin/
 	install -m 755 $(BUILD)/libairy.so $(DESTDIR)$(PREFIX)/lib/libairy.so.0
 	ln -sf libairy.so.0 $(DESTDIR)$(PREFIX)/lib/libairy.so
@@ -167,6 +168,7 @@ install: all
 	install -m 644 proto/PROTOCOL.md proto/airy.proto $(DESTDIR)$(PREFIX)/share/doc/airyd/
 	sed 's|/usr/local/bin|$(PREFIX)/bin|' systemd/airyd.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/airyd.service
 	install -m 644 systemd/airyd.socket $(DESTDIR)$(PREFIX)/lib/systemd/system/
+	install -m 644 systemd/70-airy-wall.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d/
 
 clean:
 	rm -rf $(BUILD)

@@ -89,7 +89,7 @@ struct usb *rig_usb(void)
 
 struct panel_config rig_config(enum wall_board_kind kind, const char *serial, uint32_t width, uint32_t height)
 {
-    struct panel_config c = { .kind = kind, .width = width, .height = height, .rate = 60 };
+    struct panel_config c = { .kind = kind, .width = width, .height = height, .rate = 2 };
     snprintf(c.serial, sizeof(c.serial), "%s", serial);
     for (unsigned ch = 0; ch < 3; ch++)
         for (unsigned e = 0; e < 257; e++)

@@ -18,6 +18,7 @@ int rig_group_teardown(void **state);
 int rig_teardown(void **state);       /* of each test: unplugs what it left */
 struct usb *rig_usb(void);            /* with a log that rig_logged reads */
 bool rig_logged(const char *words);   /* since rig_usb */
+/* The rate is 2, for time-outs of 1.5 s: on a busy machine a sound transfer may be held up for longer than 100 ms. */
 struct panel_config rig_config(enum wall_board_kind kind, const char *serial, uint32_t width, uint32_t height);
 struct usb_board *rig_add(struct usb *u, enum wall_board_kind kind, const char *serial, uint32_t width, uint32_t height);
 
