@@ -31,7 +31,17 @@ $(BUILD)/bench/bench_wall: $(call obj,tests/bench/bench_wall.c $(filter-out test
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(BENCH_LIBS)
 
-.PHONY: bench bench-wall
+# Ten emulated boards, SECONDS= each (default 60).
+SECONDS ?= 60
+$(BUILD)/bench/bench_wall_usb: $(call obj,tests/bench/bench_wall_usb.c tests/usb_kit.c tests/usb_kit_model.c) $(BUILD)/libairy.a
+	@mkdir -p $(@D)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
+$(BUILD)/tests/bench/bench_wall_usb.o: CPPFLAGS += -Itests
+
+.PHONY: bench bench-wall bench-usb
+bench-usb: $(BUILD)/airyd $(BUILD)/bench/bench_wall_usb
+	@umockdev-wrapper $(BUILD)/bench/bench_wall_usb $(BUILD)/airyd $(SECONDS)
 bench-wall: $(BUILD)/bench/bench_wall
 	@$(BUILD)/bench/bench_wall
 bench: all $(BUILD)/bench/airy_bench $(BUILD)/bench/bench_exr
