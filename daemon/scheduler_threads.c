@@ -4,20 +4,13 @@
 
 #include <stdio.h>
 #include <string.h>
-#include <sys/resource.h>
-#include <unistd.h>
+
+#include "prompt.h"
 
 static void say(struct sched *s, const char *line)
 {
     if (s->log)
         s->log(line);
-}
-
-// Ahead of a farm's work on the same cores, where the system allows it; threads that it starts inherit it.
-static void hurry(void)
-{
-    // Of the calling thread alone: Linux keeps niceness by thread.
-    (void)!setpriority(PRIO_PROCESS, (id_t)gettid(), -8);
 }
 
 // ---- pool ------------------------------------------------------------------------------------------
@@ -56,7 +49,7 @@ static void *pool_main(void *arg)
 
 static void *wall_pool_main(void *arg)
 {
-    hurry();
+    prompt_me(0); // and the driver's threads, which it starts
     pool_run(arg, true);
     return NULL;
 }
@@ -186,7 +179,7 @@ static void *wall_device_main(void *arg)
 {
     struct sched_lane *l = arg;
     struct fault f = { .code = FAULT_NONE };
-    hurry();
+    prompt_me(0); // and the driver's threads, which it starts
     int rc = open_device(l, &f);
     pthread_mutex_lock(&l->sched->lock);
     if (rc < 0) {

@@ -4,6 +4,7 @@
 //
 // Invariant: a board is in the list from before its thread starts until after it ended, so that no two boards of one kind
 // and serial ever touch the same device, and so that whoever walks the list under its lock finds boards that live.
+#include "prompt.h"
 #include "usb_internal.h"
 
 #include <stdarg.h>
@@ -13,7 +14,7 @@
 #include <string.h>
 #include <time.h>
 
-enum { EVENTS_MS = 200 };
+enum { EVENTS_MS = 200, EVENTS_PRIORITY = 9 };
 
 uint64_t usb_now_ns(void)
 {
@@ -65,6 +66,8 @@ static void *events_main(void *arg)
 {
     struct usb *u = arg;
     uint64_t query_ns = 0;
+    // A frame that waits for its turn goes out from here.
+    prompt_me(EVENTS_PRIORITY);
     while (!atomic_load(&u->end)) {
         struct timeval t = { .tv_usec = EVENTS_MS * 1000 };
         libusb_handle_events_timeout_completed(u->context, &t, NULL);
@@ -162,7 +165,7 @@ static struct usb_board *board_new(struct usb *u, const struct panel_config *c)
     b->config = *c;
     b->newest_bytes = bytes;
     b->fd = -1;
-    pthread_mutex_init(&b->lock, NULL);
+    prompt_mutex_init(&b->lock);
     usb_cond_init(&b->change);
     return b;
 }

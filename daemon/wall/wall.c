@@ -6,6 +6,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "prompt.h"
 #include "wall_internal.h"
 
 /* ---- open ------------------------------------------------------------------------------------------------------ */
@@ -71,12 +72,7 @@ static int add_boards(struct wall *w, struct fault *f)
 
 static void make_locks(struct wall *w)
 {
-    pthread_mutexattr_t a;
-    pthread_mutexattr_init(&a);
-    // Whoever holds what a real-time thread waits for must not be kept from the processor by a third.
-    pthread_mutexattr_setprotocol(&a, PTHREAD_PRIO_INHERIT);
-    pthread_mutex_init(&w->lock, &a);
-    pthread_mutexattr_destroy(&a);
+    prompt_mutex_init(&w->lock);
     pthread_mutex_init(&w->show_lock, NULL);
     pthread_mutex_init(&w->preview_lock, NULL);
 }

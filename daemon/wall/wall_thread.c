@@ -2,19 +2,17 @@
 // wall_thread.c - the pacer's thread: sleeps until the next tick or the next delayed board, asks wall_pacer what to show,
 // makes the bytes and hands them to the boards. Invariant: nothing here allocates, waits for a board, or holds `lock` while it computes.
 //
-// Real time: FIFO priority 10 where it is allowed (above all that is not real time, below what the kernel itself needs), else
-// nice -10, else as it comes. The timer's slack of 50 us that other threads have goes in any case.
+// Real time: FIFO where it is allowed (above all that is not real time, below what the kernel itself needs); the thread that handles
+// USB's events is just below.
 #include <errno.h>
-#include <sched.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/prctl.h>
-#include <sys/resource.h>
-#include <sys/syscall.h>
 #include <time.h>
-#include <unistd.h>
 
+#include "prompt.h"
 #include "wall_internal.h"
+
+enum { PACER_PRIORITY = 10 };
 
 /* So long at most until the thread sees that it is to stop. */
 static const uint64_t nap_ns = 50000000;
@@ -35,16 +33,11 @@ static void sleep_until(struct wall *w, uint64_t wake_ns)
     }
 }
 
-static const char *become_prompt(bool *realtime)
+static const char *priority_name(enum prompt p)
 {
-    const struct sched_param p = { .sched_priority = 10 };
-    prctl(PR_SET_TIMERSLACK, 1);
-    *realtime = pthread_setschedparam(pthread_self(), SCHED_FIFO, &p) == 0;
-    if (*realtime)
-        return "real-time priority";
-    // On Linux this is of the thread, not of the process.
-    return setpriority(PRIO_PROCESS, (id_t)syscall(SYS_gettid), -10) == 0 ? "nice -10 (no right to real-time priority)"
-                                                                          : "usual priority (no right to a higher one)";
+    return p == PROMPT_REALTIME ? "real-time priority"
+           : p == PROMPT_NICE   ? "nice -10 (no right to real-time priority)"
+                                : "usual priority (no right to a higher one)";
 }
 
 /* ---- sending ----------------------------------------------------------------------------------------------- */
@@ -190,15 +183,14 @@ static void run_tick(struct wall *w)
 static void *pacer_main(void *arg)
 {
     struct wall *w = arg;
-    bool realtime;
-    const char *priority = become_prompt(&realtime);
+    const enum prompt priority = prompt_me(PACER_PRIORITY);
     pthread_mutex_lock(&w->lock);
-    w->published.realtime = realtime;
+    w->published.realtime = priority == PROMPT_REALTIME;
     pthread_mutex_unlock(&w->lock);
     if (w->log) {
         char line[WALL_NAME_MAX + 160];
         snprintf(line, sizeof(line), "wall %s: %u boards, %u LEDs, %g frames a second, %s", w->def->name, w->def->n_boards,
-                 w->layout->lit, w->def->rate, priority);
+                 w->layout->lit, w->def->rate, priority_name(priority));
         w->log(line);
     }
     while (!atomic_load(&w->stop)) {
