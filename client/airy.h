@@ -43,6 +43,7 @@ extern "C" {
 
 struct airy;
 struct airy_result_private;
+struct airy_wall_reply_private;
 
 struct airy_error {
     int code;            /* PROTOCOL.md's table (100..599) from the daemon; -errno from this side;
@@ -57,9 +58,9 @@ struct airy_error {
 /* ---- connection ------------------------------------------------------------------------------ */
 
 /* path NULL: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock: the
- * first that answers. Blocks for at most 5 s. */
+ * first that answers. Blocks for at most 30 s. */
 AIRY_API int airy_connect(struct airy **out, const char *path, struct airy_error *e);
-/* Takes over a connected stream socket (closed on failure, too). Blocks for at most 5 s. */
+/* Takes over a connected stream socket (closed on failure, too). Blocks for at most 30 s. */
 AIRY_API int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
 AIRY_API void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
 
@@ -122,6 +123,15 @@ struct airy_request {
     void *progress_ctx;
 
     bool plan_only;                      /* the result says what would run; it has no data */
+
+    /* A frame for an open wall (below); NULL: none. With show it goes on the wall, and the result has no data; without, the
+     * result is the wall's linear drive: height rows of width pixels of R, G, B, float32. */
+    const char *wall;
+    bool show;
+    uint64_t present_ns;                 /* CLOCK_MONOTONIC: shown at the first tick from then on; 0: at the next tick */
+    /* Raw pixels that are a part of a frame: the frame's size, and where the part's first pixel is. 0 0: they are the frame. */
+    uint32_t frame_width, frame_height;
+    int32_t frame_x, frame_y;
 };
 #ifdef __cplusplus
 static inline struct airy_request airy_request_init()
@@ -181,6 +191,8 @@ struct airy_target {
     double energy_clamped, energy_suppressed; /* taken away by clamp and by firefly */
 };
 
+struct airy_region { int32_t x, y; uint32_t width, height; }; /* pixels of the display window, from its corner */
+
 struct airy_times { double queue, load, decode, bloom, encode, total; }; /* ms */
 
 struct airy_result {
@@ -197,6 +209,8 @@ struct airy_result {
     unsigned n_notes;
     double exposure;
     struct airy_result_private *priv;
+    bool has_need;           /* with a wall: */
+    struct airy_region need; /* of the frame, what the wall's panels' light comes from, the glow's reach included */
 };
 
 /* Waits for one request (or any, id 0; airy_wait_any also tells which failed). Each request is reported
@@ -222,6 +236,89 @@ struct airy_status {
 };
 /* Answered at any load, beside whatever is in flight. A time-out is a failure (-ETIMEDOUT). */
 AIRY_API int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct airy_error *e);
+
+/* ---- walls ------------------------------------------------------------------------------------- */
+
+enum airy_wall_action {
+    AIRY_WALL_LIST,    /* all walls, and the controllers that are plugged in; name: that wall alone */
+    AIRY_WALL_OPEN,    /* a definition, airy-wall(5); the wall goes when this connection does, unless keep */
+    AIRY_WALL_CLOSE,   /* black, then away */
+    AIRY_WALL_PATTERN, /* a test pattern instead of frames; "" ends it */
+    AIRY_WALL_PREVIEW, /* what was sent last */
+};
+
+struct airy_wall_request { /* strings: the caller's, not needed after the call; NULL is empty */
+    enum airy_wall_action action;
+    const char *name;        /* not of OPEN: the definition names the wall */
+    const char *definition;  /* OPEN: text */
+    const char *calibration; /* OPEN: airy_asset's digest of the image that the definition names */
+    bool keep;               /* OPEN */
+    const char *pattern;     /* PATTERN: order panels red green blue white ramp checker led black */
+    const char *board;       /* PATTERN led: the board's name, */
+    uint32_t led;            /* and the LED's number on it */
+    double level;            /* PATTERN: linear, 0..1; 0: 0.25 */
+};
+
+struct airy_percentiles { double p50, p99, max; }; /* ms */
+
+struct airy_wall_board {
+    const char *name, *kind, *serial;
+    const char *state;      /* "ready" "absent" "opening" "failed" */
+    const char *problem, *path;
+    uint64_t sent, dropped; /* frames wholly transferred; replaced by a newer one before that */
+    uint64_t missed;        /* due while the board was not there */
+    uint64_t stalls, timeouts, errors, losses;
+    uint64_t rendered, received; /* by the board's own counters; 0: it has none */
+    struct airy_percentiles latency_ms; /* bytes ready -> last transfer complete */
+    double amps, amps_wanted; /* estimate of what is sent; before the limit */
+};
+
+struct airy_wall_supply {
+    const char *name;
+    double amps, amps_wanted, amps_limit; /* limit 0: none */
+};
+
+struct airy_wall_state {
+    const char *name;
+    uint32_t width, height, leds;
+    double rate;
+    const char *source;       /* "none" "live" "held" "fading" "black" "pattern" */
+    double fps;               /* ticks of the last second */
+    double frames_per_second; /* new pictures of the last second */
+    uint64_t ticks, ticks_missed;
+    struct airy_percentiles late_ms; /* of a tick against the absolute clock */
+    struct airy_percentiles skew_ms; /* between the boards' last transfers of a tick */
+    uint64_t frames, shown, dropped; /* pictures that came; shown; replaced by a newer one before their tick */
+    double exposure;          /* stops in use */
+    bool realtime;            /* the pacer runs with a real-time priority */
+    const struct airy_wall_board *boards;
+    unsigned n_boards;
+    const struct airy_wall_supply *supplies;
+    unsigned n_supplies;
+};
+
+struct airy_controller {      /* plugged in, of a kind that can be driven */
+    const char *kind, *serial, *path;
+    const char *wall;         /* that uses it; empty: none */
+    const char *problem;      /* empty: none */
+};
+
+struct airy_wall_reply {      /* owns all that it points to */
+    const struct airy_wall_state *walls; /* OPEN, PATTERN, PREVIEW and a LIST by name: one */
+    unsigned n_walls;
+    const struct airy_controller *controllers;
+    unsigned n_controllers;
+    const char *usb;          /* why there is no USB; empty: there is */
+    const uint8_t *preview;   /* PREVIEW: sRGB, walls[0].width * height * 3 bytes; else NULL */
+    struct airy_wall_reply_private *priv;
+};
+
+/* Asks, and waits for the answer beside whatever is in flight; requests that end meanwhile are had by the waits as always. It costs
+ * no credit. *out is the caller's to free. timeout_ms -1: for ever. A time-out is a failure (-ETIMEDOUT): what was asked may
+ * still be done. A daemon without walls: -ENOTSUP. */
+AIRY_API int airy_wall(struct airy *a, const struct airy_wall_request *q, int timeout_ms, struct airy_wall_reply **out,
+                       struct airy_error *e);
+AIRY_API void airy_wall_reply_free(struct airy_wall_reply *r); /* NULL is fine */
 
 #ifdef __cplusplus
 }

@@ -58,6 +58,8 @@ static const char *const param_names[BLOOM_OPTIONS] = {
 #undef TEXT
 };
 
+const char *bloom_param_name(int id) { return param_names[id]; }
+
 static int operand(struct bloom_asked *a, const char *value)
 {
     if (a->operands == 0)

@@ -39,6 +39,9 @@ enum bloom_option {
 
 extern const struct option_row bloom_options[BLOOM_OPTIONS];
 
+/* The parameter of an option from BLOOM_PARAMS on: --show sets "view". */
+const char *bloom_param_name(int id);
+
 enum bloom_command { BLOOM_FOR_FRAMES, BLOOM_FOR_PLAN };
 
 struct bloom_asked { /* strings: argv's */

@@ -7,6 +7,7 @@
 
 #include "cmd.h"
 #include "cmd_bloom.h"
+#include "cmd_help.h"
 
 enum { WIDTH = 79, INDENT = 26 };
 
@@ -39,7 +40,7 @@ static void wrap(const char *text, int column)
     putchar('\n');
 }
 
-static void print_option(const struct option_row *r)
+void help_option(const struct option_row *r)
 {
     char letter[8] = "    ";
     if (r->letter)
@@ -62,23 +63,23 @@ static const char *choice_word(const char *symbol, char *out, size_t size)
     return out;
 }
 
-static void print_params(void)
+void help_params(void)
 {
     char text[512], word[32];
 #define NUMBER_OR(name, field, flag, def, min, max, unit, instead, help)                                \
-    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    help_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
     snprintf(text, sizeof(text), "[%s; %s to %s, or %s; default %s]", unit, #min, #max, instead, #def); \
     wrap(text, 0);
 #define NUMBER(name, field, def, min, max, unit, help)                                                  \
-    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    help_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
     snprintf(text, sizeof(text), "[%s; %s to %s; default %s]", unit, #min, #max, #def);                 \
     wrap(text, 0);
 #define CHOICE(name, field, def, words, help)                                                           \
-    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    help_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
     snprintf(text, sizeof(text), "[%s; default %s]", words, choice_word(#def, word, sizeof(word)));     \
     wrap(text, 0);
 #define TEXT(name, field, def, help)                                                                    \
-    print_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
+    help_option(&bloom_options[BLOOM_PARAM_##name]);                                                   \
     snprintf(text, sizeof(text), "[default %s]", *def ? def : "none");                                                \
     wrap(text, 0);
 #include "params.def"
@@ -95,6 +96,7 @@ static void help_all(void)
          "  airy bloom 'in.####.exr' -o 'out.####.exr' -f 1-100x2    a range, several in flight\n"
          "  airy plan IN                                             what would run, and its error bound\n"
          "  airy status [--json]                                     how a daemon is doing\n"
+         "  airy wall ...                                            LED walls: airy wall --help\n"
          "  airy help bloom                                          every option and parameter\n"
          "  airy --version\n"
          "\n"
@@ -137,9 +139,9 @@ static void help_bloom(void)
          "\n"
          "Options:");
     for (unsigned i = 0; i < BLOOM_PARAMS; i++)
-        print_option(&bloom_options[i]);
+        help_option(&bloom_options[i]);
     puts("\nParameters of the bloom:");
-    print_params();
+    help_params();
     help_texts();
     puts("\nExit status: 0 all done; 2 usage; 3 input; 4 output; 5 may be tried again as it is; 1 "
          "other.\n"

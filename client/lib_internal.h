@@ -34,6 +34,19 @@ struct request {
     uint64_t got_bytes, got_cap;
 };
 
+enum { WALL_GIVEN_UP_MAX = 16 };
+
+/* An airy_wall in progress, on its stack. */
+struct wall_wait {
+    uint64_t id;
+    bool preview; /* was asked for */
+    bool ended;   /* reply or error is set */
+    struct airy_wall_reply *reply;
+    struct airy_error error;
+    uint8_t *got; /* of the preview */
+    size_t got_bytes, got_room;
+};
+
 struct airy {
     struct conn *conn; /* NULL: the connection is lost, `lost` says how */
     struct airy_error lost;
@@ -46,6 +59,10 @@ struct airy {
     unsigned open_count;
     uint64_t status_id; /* awaited; 0: none */
     struct airy_status *status;
+    bool has_walls;         /* WELCOME names the feature */
+    struct wall_wait *wall; /* NULL: none is asked for */
+    uint64_t given_up[WALL_GIVEN_UP_MAX]; /* ids of what timed out; its answers are passed over */
+    unsigned n_given_up;
 };
 
 struct airy_result_private {
@@ -75,6 +92,11 @@ void lib_request_free(struct request *r);
 /* Makes r's result of a RESULT message, whose descriptors it takes. 0, or -1 and *e: the result is
  * not usable. */
 int lib_result_make(struct request *r, const struct conn_message *m, struct airy_error *e);
+/* A message that may be an airy_wall's. 1: it was, 0: it is another's, -1 and *e: the connection is to be lost. */
+int lib_wall_message(struct airy *a, const struct conn_message *m, struct airy_error *e);
+/* An ERROR for this id: was it an airy_wall's? */
+bool lib_wall_error(struct airy *a, uint64_t id, const struct airy_error *error);
+
 void lib_times(struct airy_times *out, const Airy__StageTimes *t);
 
 #endif

@@ -180,6 +180,8 @@ static int on_welcome(struct airy *a, const struct conn_message *m, struct airy_
         .max_requests = w->limits->max_requests,
     };
     a->credit_bytes = a->limits.credit_bytes;
+    for (size_t i = 0; i < w->n_features; i++)
+        a->has_walls = a->has_walls || strcmp(w->features[i], "wall") == 0;
     a->welcome = true;
     return 0;
 }
@@ -196,7 +198,7 @@ static int on_error(struct airy *a, const struct conn_message *m, struct airy_er
     snprintf(error.symbol, sizeof(error.symbol), "%s", b->symbol);
     snprintf(error.field, sizeof(error.field), "%s", b->field);
     snprintf(error.text, sizeof(error.text), "%s", b->text);
-    if (m->header.id) {
+    if (m->header.id && !lib_wall_error(a, m->header.id, &error)) {
         struct request *r = find(a->open, m->header.id);
         if (!r || r->ended)
             return lib_fail(e, EPROTO, "",
@@ -302,7 +304,7 @@ static bool may_come(const struct request *r, enum wire_type type)
         return r && !r->ended && !is_asset;
     if (type == WIRE_ASSET_KEPT)
         return r && !r->ended && is_asset;
-    return type != WIRE_CANCELLED || (r && !r->ended);
+    return type != WIRE_WALL_REPLY && (type != WIRE_CANCELLED || (r && !r->ended));
 }
 
 // 0, or -1 and *e: the connection is to be lost. The message's descriptors are taken in every case.
@@ -314,6 +316,9 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
         return on_error(a, m, e);
     if (!a->welcome && type == WIRE_WELCOME)
         return on_welcome(a, m, e);
+    int wall = a->welcome ? lib_wall_message(a, m, e) : 0;
+    if (wall)
+        return wall < 0 ? -1 : 0;
     struct request *r = find(a->open, id);
     if (!a->welcome || type == WIRE_WELCOME || !may_come(r, type)) {
         for (unsigned i = 0; i < m->header.n_fds; i++)

@@ -60,6 +60,7 @@ struct draft {
     Airy__Output output;
     Airy__ExrOptions exr;
     Airy__RawLayout raw;
+    Airy__WallTarget wall;
     Airy__Param params[AIRY_PARAMS_MAX], *param_list[AIRY_PARAMS_MAX];
     Airy__RawChannel channels[AIRY_CHANNELS_MAX], *channel_list[AIRY_CHANNELS_MAX];
     int fds[WIRE_FDS_MAX]; // the caller's
@@ -145,7 +146,9 @@ static int draft_output(struct draft *d, const struct airy_request *r, struct ai
 {
     Airy__Output *o = &d->output;
     d->bloom.output = o;
-    o->kind = r->inline_output ? AIRY__OUTPUT__KIND__INLINE : AIRY__OUTPUT__KIND__MEMFD;
+    o->kind = r->show ? AIRY__OUTPUT__KIND__WALL : r->inline_output ? AIRY__OUTPUT__KIND__INLINE : AIRY__OUTPUT__KIND__MEMFD;
+    if (r->show && (r->inline_output || r->output_fd >= 0))
+        return lib_fail(e, EINVAL, "show", "a frame that is shown on a wall has no other output");
     if (r->output_fd < 0)
         return 0;
     if (r->inline_output)
@@ -155,6 +158,21 @@ static int draft_output(struct draft *d, const struct airy_request *r, struct ai
     o->offset = r->output_offset;
     o->size = r->output_size;
     d->fds[d->n_fds++] = r->output_fd;
+    return 0;
+}
+
+static int draft_wall(struct draft *d, const struct airy_request *r, struct airy_error *e)
+{
+    if (!r->wall)
+        return r->show ? lib_fail(e, EINVAL, "wall", "a frame is to be shown, and no wall is named") : 0;
+    Airy__WallTarget *w = d->bloom.wall = &d->wall;
+    airy__wall_target__init(w);
+    w->name = (char *)r->wall;
+    w->present_ns = r->present_ns;
+    w->frame_width = r->frame_width;
+    w->frame_height = r->frame_height;
+    w->x = r->frame_x;
+    w->y = r->frame_y;
     return 0;
 }
 
@@ -178,7 +196,7 @@ static int draft_make(struct draft *d, const struct airy_request *r, struct airy
     d->bloom.progress = r->progress != NULL;
     d->bloom.plan_only = r->plan_only;
     d->bloom.input = &d->input;
-    if (draft_input(d, r, e) < 0 || (!r->plan_only && draft_output(d, r, e) < 0))
+    if (draft_input(d, r, e) < 0 || draft_wall(d, r, e) < 0 || (!r->plan_only && draft_output(d, r, e) < 0))
         return -1;
     if (r->width)
         return draft_raw(d, r, e);
@@ -276,6 +294,8 @@ static struct request *request_send(struct airy *a, enum request_kind kind, cons
 int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e)
 {
     struct draft d;
+    if (r->wall && a->conn && !a->has_walls)
+        return lib_fail(e, ENOTSUP, "wall", "%s drives no walls", a->server);
     if (draft_make(&d, r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
         return -1;
     struct request *request = request_send(a, r->plan_only ? REQUEST_PLAN : REQUEST_BLOOM, r, &d, e);

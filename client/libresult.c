@@ -90,6 +90,7 @@ static int take_output(struct airy_result *r, struct request *request, const Air
         [AIRY__OUTPUT__KIND__INLINE] = AIRY__PAYLOAD__KIND__INLINE,
         [AIRY__OUTPUT__KIND__MEMFD] = AIRY__PAYLOAD__KIND__MEMFD,
         [AIRY__OUTPUT__KIND__BUFFER] = AIRY__PAYLOAD__KIND__NONE,
+        [AIRY__OUTPUT__KIND__WALL] = AIRY__PAYLOAD__KIND__NONE,
     };
     static const Airy__Payload nothing = AIRY__PAYLOAD__INIT;
     if (!p)
@@ -169,6 +170,9 @@ static int copy_facts(struct airy_result *r, const Airy__Result *b, struct airy_
     r->notes = (const char *const *)b->notes;
     r->n_notes = (unsigned)b->n_notes;
     r->exposure = b->exposure;
+    r->has_need = b->need != NULL;
+    if (b->need)
+        r->need = (struct airy_region){ b->need->x, b->need->y, b->need->width, b->need->height };
     return 0;
 }
 

@@ -54,7 +54,7 @@ static int choose_storage(struct frame *fr, double max_bright)
     const struct plan *plan = fr->b->plan;
     fr->half = false;
     fr->scale = 1;
-    if (p->storage == STORAGE_FLOAT || fr->fft)
+    if (p->storage == STORAGE_FLOAT || fr->fft || fr->wall)
         return 0;
     const bool plain = !fr->keeps_e && is_plain_picture(fr, &p->view_spec) && fr->target->geometry.outputs == 1;
     const bool sane = max_bright > 1e-25 && max_bright * fmax(1, plan->weight_sum) < 1e30;
@@ -85,11 +85,13 @@ static int prepare_targets(struct frame *fr)
         .width = width,
         .height = height,
         .channels = t->geometry.channels,
-        .octaves = octaves_for(b->plan, width, height),
+        .octaves = fr->wall_direct ? b->plan->levels : octaves_for(b->plan, width, height),
         .full_size = full,
-        .finest = b->plan->full_size || fr->fft ? 0 : 1,
+        .finest = fr->wall_direct ? fr->wall_level : b->plan->full_size || fr->fft ? 0 : 1,
         .half = fr->half,
     };
+    if (fr->wall_direct) // no ledger
+        return targets_prepare(&b->vk, &b->targets, &shape, fr->f);
     if (b->prepared == b->plan && b->prepared_pad == fr->pad + t->geometry.grow && targets_same(&b->targets, &shape))
         return 0;
     b->prepared = NULL;
@@ -282,7 +284,7 @@ static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
         fr->most_glow = fr->params->intensity * r->max_bright * (plan_weight(fr) * (1 + 0x1p-10) + plan_bound(fr));
         fr->lit = !b->whole && bright_lit(fr, &lit) ? &lit : NULL;
     }
-    if (record_frame(fr, dark) < 0)
+    if ((fr->wall_direct ? wall_run(fr, dark) : record_frame(fr, dark)) < 0)
         return -1;
     log_profile(b);
     if (dark)
@@ -291,6 +293,10 @@ static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
     describe_skips(fr, r);
     snprintf(r->storage, sizeof(r->storage), "%s", fr->half ? "half" : "float");
     r->error_bound = plan_bound(fr) + plan_weight(fr) * bright_rounding(fr, r) + fr->skip_bound;
+    if (fr->wall_direct) {
+        r->error_bound += plan_weight(fr) * wall_rounding(fr);
+        return 0;
+    }
     r->predicted_ms = fr->fft ? 0 : cost_predict(b, b->plan, &fr->target->geometry);
     account(fr, r);
     return 0;
@@ -299,50 +305,85 @@ static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
 // A target is no companion of itself.
 static int companion(int i, unsigned target) { return i < 0 || (unsigned)i == target ? -1 : i; }
 
+// A stated psf's frame, from plan to planes or drive.
+static int run_stated(struct frame *fr, struct bloom_reply *r)
+{
+    if (plan_find(fr->b, fr->request, &fr->target->geometry, fr->f) < 0)
+        return -1;
+    set_features(fr);
+    if (fr->wall_direct)
+        fr->wall_level = wall_level(fr->b, fr->b->plan, fr->wall);
+    const bool no_plan = fr->fft ? fr->params->psf_spec.weight == 0 : !fr->b->plan->count;
+    bool dark = r->max_bright == 0 || no_plan || fr->params->intensity == 0;
+    // A wall's shares must agree on what is left out.
+    if (!dark && !fr->wall && is_plain_picture(fr, &fr->params->view_spec) && fr->target->geometry.outputs == 1)
+        bright_skip(fr, r);
+    dark |= all_skipped(fr);
+    if (dark)
+        dark_reply(fr, r);
+    const bool anyway = fr->target->geometry.outputs > 1 || fr->wall_direct;
+    return !r->untouched || anyway ? run_frame(fr, dark, r) : 0;
+}
+
+static int run_any(struct frame *fr, unsigned target, struct bloom_reply *r)
+{
+    struct bloom *b = fr->b;
+    const bool exposed = fr->params->bloom == SWITCH_ON || params_display(fr->params) || fr->wall;
+    struct bloom_adapt *adapt = fr->wall && fr->params->exposure_auto ? fr->wall->adapt : NULL;
+    fr->exposure = fr->params->exposure;
+    if (fr->params->exposure_auto && exposed && meter_exposure(fr, &fr->exposure) < 0)
+        return -1;
+    if (adapt)
+        fr->exposure = bloom_adapt_stops(adapt, fr->exposure);
+    r->exposure = fr->exposure;
+    bright_set(fr);
+    bright_count(fr, r);
+    if (fr->params->look == LOOK_NONE) {
+        if (run_stated(fr, r) < 0)
+            return -1;
+    } else {
+        if (look_run(b, fr->slot, target, fr->request, fr->exposure, r, fr->f) < 0)
+            return -1;
+        if (!r->untouched)
+            log_profile(b);
+    }
+    if (fr->wall && !fr->wall_direct) {
+        if (wall_run_output(fr, r->untouched) < 0)
+            return -1;
+        log_profile(b);
+    }
+    if (adapt) {
+        adapt->stops = fr->exposure;
+        adapt->started = true;
+    }
+    return 0;
+}
+
 int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *asked,
               struct bloom_reply *reply, struct fault *f)
 {
     struct bloom_request request = *asked;
+    struct params of_wall;
     request.source = companion(asked->source, target);
     request.matte = companion(asked->matte, target);
     request.depth = companion(asked->depth, target);
+    if (asked->wall) { // a mean has no place to keep a NaN in
+        of_wall = *asked->params;
+        of_wall.nonfinite = NONFINITE_ZERO;
+        request.params = &of_wall;
+    }
     struct frame fr = { .b = b, .slot = s, .target = &s->target[target], .request = &request, .params = request.params,
-                        .f = f };
+                        .wall = request.wall, .f = f };
+    fr.wall_direct = fr.wall && bloom_wall_is_direct(fr.params);
     fr.matte = request.matte >= 0 ? &s->target[request.matte] : NULL;
     fr.source = request.source >= 0 ? &s->target[request.source] : fr.target;
     fr.scan = request.source >= 0 ? request.source_scan : request.scan;
     struct bloom_reply r = { 0 };
     const double start = bloom_now_ms();
-    if (check_request(&fr) < 0)
+    if (check_request(&fr) < 0 || (fr.wall && wall_check(&fr) < 0) || run_any(&fr, target, &r) < 0)
         return -1;
-    fr.exposure = fr.params->exposure;
-    const bool exposed = fr.params->bloom == SWITCH_ON || params_display(fr.params);
-    if (fr.params->exposure_auto && exposed && meter_exposure(&fr, &fr.exposure) < 0)
-        return -1;
-    r.exposure = fr.exposure;
-    bright_set(&fr);
-    bright_count(&fr, &r);
-    if (fr.params->look != LOOK_NONE) {
-        if (look_run(b, s, target, &request, fr.exposure, &r, f) < 0)
-            return -1;
-        if (!r.untouched)
-            log_profile(b);
-        *reply = r;
-        return 0;
-    }
-    if (plan_find(b, &request, &fr.target->geometry, f) < 0)
-        return -1;
-    set_features(&fr);
-    const bool no_plan = fr.fft ? fr.params->psf_spec.weight == 0 : !b->plan->count;
-    bool dark = r.max_bright == 0 || no_plan || fr.params->intensity == 0;
-    if (!dark && is_plain_picture(&fr, &fr.params->view_spec) && fr.target->geometry.outputs == 1)
-        bright_skip(&fr, &r);
-    dark |= all_skipped(&fr);
-    if (dark)
-        dark_reply(&fr, &r);
-    if ((!r.untouched || fr.target->geometry.outputs > 1) && run_frame(&fr, dark, &r) < 0)
-        return -1;
-    if (!r.untouched)
+    // A look keeps its own time.
+    if ((!r.untouched && fr.params->look == LOOK_NONE) || fr.wall)
         r.device_ms = bloom_now_ms() - start;
     *reply = r;
     return 0;
@@ -396,6 +437,8 @@ void bloom_destroy(struct bloom *b)
         vkDeviceWaitIdle(b->vk.device);
         ledger_clear(&b->ledger);
         look_destroy(b, b->look);
+        for (unsigned i = 0; i < WALL_KEPT; i++)
+            wall_work_destroy(&b->vk, b->wall[i]);
         fft_destroy(b);
         vk_buffer_free(&b->vk, &b->counts);
         vk_buffer_free(&b->vk, &b->exchange);

@@ -86,7 +86,10 @@ struct bloom_image {
     char digest[33];
 };
 
-/* Auto exposure over time: stops follow what is metered, frame-rate independent. The owner keeps it between frames. */
+/* Auto exposure over time, frame-rate independent: stops += (metered - stops) * (1 - exp(-step_s / tau)). The first frame has what is
+ * metered. "Up" and "down" are the scene's light's: up_s when it has grown brighter (metered < stops: the exposure falls), down_s when
+ * it has grown darker. The owner keeps it between frames; bloom_run changes started and stops, when it succeeds. Without
+ * params' exposure=auto it is not looked at. */
 struct bloom_adapt {
     bool started;
     double stops;
@@ -96,18 +99,25 @@ struct bloom_adapt {
 
 /*
  * A wall's picture of a target, in place of output planes: each wall pixel is the mean of the composited frame
- * (METHODS section 1, step 7) over its rectangle, in linear light, by area; outside the target there is no light. Then
- * times 2^exposure, tone map, saturation (with Rec.709's luma), matrix, gain: LED's "linear drive", not yet held to 0..1.
- * Wall pixel (i, j) covers x + i * pitch_x ... x + (i + 1) * pitch_x pixels of the target, y alike.
- * Where the picture is plain (wall_is_direct) nothing is composited at full size: only what the wall can show is computed.
- * The same wall pixel gets the same bits from any part of the frame that has all its light (bloom_wall_need).
+ * (METHODS section 1, step 7) over its rectangle, in linear light, by area; outside the target there is no light, and a sample that is
+ * not finite has none but its glow. Then times 2^exposure, below 0 is 0, tone map, saturation (with Rec.709's luma), matrix, gain:
+ * LED's "linear drive", not yet held to 0..1 (but light beyond 1e30 counts as 1e30).
+ * Wall pixel (i, j) covers x + i * pitch_x ... x + (i + 1) * pitch_x pixels of the frame, y alike. The target is the frame, or a
+ * part of it at frame_x, frame_y: x and y do not change with the part.
+ * Where the picture is plain (bloom_wall_is_direct) nothing is composited at full size: only what the wall can show is computed.
+ * The same wall pixel gets the same bits from any part of the frame that has all its light (bloom_wall_need), if its corner is a
+ * multiple of 2^levels of the plan; with exposure and psf given by value (not exposure=auto, which meters the target, nor budget_ms, which
+ * is of a machine). From a part with any other corner it is right to the bound all the same.
+ * A reply's error_bound is then of the mean's glow; the mean of the frame itself is summed in float32, and so right to some
+ * (rows + columns of a wall pixel) * 2^-24 of the mean of its sizes. Where the picture is not plain it passes through output planes
+ * of the target's type. Energies are 0. The first frame of a wall makes weights and pipelines.
  */
 struct bloom_wall {
     uint32_t width, height;          /* of the wall, pixels */
     uint32_t first_x, first_y, end_x, end_y; /* the pixels that are wanted; the others stay as they are in drive */
     double x, y, pitch_x, pitch_y;
     uint32_t frame_width, frame_height; /* the frame that the target is a part of: sizes in % and mm mean its */
-    int32_t frame_x, frame_y;        /* of the target's first pixel in it */
+    int32_t frame_x, frame_y;        /* of the target's first pixel in it; >= 0 */
     int tone_map;                    /* enum display of params.h */
     double saturation;
     double matrix[3][3];
@@ -120,10 +130,10 @@ struct bloom_wall {
 /* Needs the target output planes (geometry.outputs = 1) for this wall, or none (0)? */
 bool bloom_wall_is_direct(const struct params *p);
 /* The part of the frame, pixels from its corner, that the wanted wall pixels' light comes from: their rectangles, the
- * PSF's reach around them, rounded out to the cells of the coarsest level in use, cut at the frame. w: first_x ... pitch_y as
- * for a target that is the whole frame. 0, or -1 and *f. */
-int bloom_wall_need(struct bloom *b, const struct params *p, float pixel_aspect, unsigned channels, const struct bloom_wall *w,
-                    int32_t need[4] /* x0, y0, x1, y1 */, struct fault *f);
+ * PSF's reach around them, rounded out to the cells of the coarsest level in use, cut at the frame; where the picture is not plain, all
+ * of it. Never empty. display_width: as in struct bloom_request, of the frame. On the device thread. 0, or -1 and *f. */
+int bloom_wall_need(struct bloom *b, const struct params *p, float pixel_aspect, unsigned channels, uint32_t display_width,
+                    const struct bloom_wall *w, int32_t need[4] /* x0, y0, x1, y1 */, struct fault *f);
 
 struct bloom_request {
     const struct params *params;

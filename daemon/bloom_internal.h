@@ -168,6 +168,39 @@ struct cost_model {
 struct convolver;
 struct look_targets;
 
+/* ---- a wall's picture: what is kept from frame to frame of the same wall, target and plan -------------------- */
+
+enum { WALL_KEPT = 4, WALL_SOURCES_MAX = PARAMS_GAUSSIANS_MAX + 2 };
+
+/* What is resampled to the wall: the picture itself, a Gaussian of E at a level, or the sum of several at one. */
+struct wall_source {
+    int gaussian;              /* of the plan; -1: the picture, the sum */
+    unsigned level;
+    struct vk_image down;      /* weights, shaders/wall_rows.frag */
+    uint32_t taps_down, taps_across; /* most that a sum has */
+    unsigned chunks_across;
+    uint32_t column, texels;   /* where its rows are in wall_work.rows */
+};
+
+struct wall_work {
+    uint64_t used;             /* bloom.walls_asked when last; 0: empty */
+    struct bloom_wall wall;    /* its pointers are not looked at */
+    uint32_t width, height;    /* of the target */
+    unsigned channels;
+    bool direct;
+    struct plan plan;
+    unsigned sources;
+    bool summed;               /* the last one is the sum */
+    struct wall_source source[WALL_SOURCES_MAX];
+    struct vk_image across;    /* weights of all sources, shaders/wall_columns.frag */
+    struct vk_image rows;      /* sources beside, channels below each other */
+    struct vk_image drive, gain;
+    bool has_gain;
+    uint64_t gain_id;
+    struct vk_memory memory;
+    struct vk_buffer back;     /* the drive, R G B 0 */
+};
+
 struct bloom {
     struct vk vk;
     struct bloom_device_info info;
@@ -192,6 +225,8 @@ struct bloom {
     struct cost_model cost;
     unsigned threads;                 /* for what the host does */
     struct look_targets *look;
+    struct wall_work *wall[WALL_KEPT]; /* made when first needed */
+    uint64_t walls_asked;
     /* Plans and what they were made for: a request that came lately costs nothing to plan. */
     struct planned planned[PLANS_MAX];
     uint64_t plans_asked;
@@ -227,6 +262,9 @@ struct frame {
     double skip_bound;           /* what that is at most, of intensity * max E */
     bool half;                   /* levels are stored as half, */
     double scale;                /* all their numbers times this power of 2; else 1 */
+    const struct bloom_wall *wall; /* NULL: output planes */
+    bool wall_direct;            /* no composite: */
+    unsigned wall_level;         /* level at which the sum of Gaussians ends */
     const struct lit *lit;       /* where E may be above 0; NULL: anywhere */
     struct fault *f;
 };
@@ -284,6 +322,23 @@ int fft_spread(struct frame *fr, struct vk_image **sum);
 double fft_bound(const struct frame *fr);
 int fft_prepare(struct frame *fr);
 void fft_destroy(struct bloom *b);
+
+/* ---- bloom_wall.c, bloom_wall_table.c ---- */
+/* Where the sum of a plan's Gaussians ends on this device. */
+unsigned wall_level(const struct bloom *b, const struct plan *p, const struct bloom_wall *w);
+/* Wall, params and target against each other. */
+int wall_check(const struct frame *fr);
+/* A direct wall's frame, from begin to drive; dark: nothing glows. */
+int wall_run(struct frame *fr, bool dark);
+/* Any other's, after the frame: from the output planes or, untouched, from the input's. */
+int wall_run_output(struct frame *fr, bool untouched);
+/* What resampling rounds off, of what is resampled; after wall_run. */
+double wall_rounding(const struct frame *fr);
+/* The new exposure of a->stops that meets what is metered; *a stays. */
+double bloom_adapt_stops(const struct bloom_adapt *a, double metered);
+/* Finds or makes what this wall, target and plan keep. Needs the targets. It may submit. */
+int wall_work_find(struct frame *fr, struct wall_work **out);
+void wall_work_destroy(struct vk *v, struct wall_work *k); /* NULL is fine */
 
 /* ---- bloom_cost.c ---- */
 int cost_measure(struct bloom *b, struct fault *f);

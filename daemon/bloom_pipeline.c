@@ -50,14 +50,15 @@ const struct vk_pipeline *pipeline_get(struct bloom *b, struct fault *f, int32_t
     struct named_pipeline *p = place_for(b);
     const bool picture = starts(name, "composite") || starts(name, "develop");
     const bool layered = starts(name, "bright") || starts(name, "extract");
-    const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2) : LEVEL_PHASES;
+    const bool wall = starts(name, "wall");
+    const unsigned attachments = layered ? (strstr(name, "_c3") ? 6 : 2) : wall ? 1 : LEVEL_PHASES;
     const int r = starts(name, "histogram")
                       ? vk_compute_create(&b->vk, &p->pipeline, s->words, s->bytes, f)
                       : vk_pipeline_create(&b->vk, &p->pipeline, s->words, s->bytes,
                                            picture          ? VK_FORMAT_R32G32B32A32_UINT
                                            : strstr(name, "_s16") ? VK_FORMAT_R16G16B16A16_SFLOAT
                                                                   : VK_FORMAT_R32G32B32A32_SFLOAT,
-                                           attachments, &spec, layered || picture ? 1 : 0, f);
+                                           attachments, &spec, layered || picture || wall ? 1 : 0, f);
     if (r < 0)
         return NULL;
     snprintf(p->name, sizeof(p->name), "%s", name);
@@ -79,7 +80,7 @@ const uint32_t *pipeline_vertex(size_t *bytes)
 // the scan of a frame may ask for.
 static unsigned plain_variants(const char *name)
 {
-    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram" };
+    static const char *const rare[] = { "fullscreen", "extract", "develop", "histogram", "wall" };
     for (unsigned k = 0; k < sizeof(rare) / sizeof(rare[0]); k++)
         if (starts(name, rare[k]) || strstr(name, "_s16"))
             return 0;

@@ -58,6 +58,13 @@ static int plan_for_budget(struct bloom *b, struct plan *out, const struct param
 int plan_find(struct bloom *b, const struct bloom_request *r, const struct bloom_geometry *g, struct fault *f)
 {
     const struct params *p = r->params;
+    // Of a part of a frame the frame is what counts.
+    struct bloom_geometry of = *g;
+    if (r->wall) {
+        of.width = r->wall->frame_width;
+        of.height = r->wall->frame_height;
+        g = &of;
+    }
     const struct plan_facts facts = {
         .width = g->width,
         .height = g->height,

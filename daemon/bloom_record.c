@@ -153,7 +153,9 @@ static int record_plain(struct frame *fr, unsigned order)
     const struct params *p = fr->params;
     struct vk_draw d = { .dst = &t->layered };
     const struct frame_scan *s = fr->scan;
-    const int32_t features = p->bright | (s->nan || s->positive_inf || s->negative_inf ? 0 : 8) | (s->negative ? 0 : 16);
+    // A wall's shares are scanned by themselves: one variant for all of them.
+    const bool clean = !fr->wall && !s->nan && !s->positive_inf && !s->negative_inf;
+    const int32_t features = p->bright | (clean ? 8 : 0) | (fr->wall || s->negative ? 0 : 16);
     d.pipeline = pipeline_get(fr->b, fr->f, features, "bright_o%u_c%u%s%s", order, t->shape.channels,
                               type_of(fr->source), stored(fr));
     if (!d.pipeline)

@@ -315,7 +315,7 @@ static void request_raw(const struct job *j, struct bloom_request *r)
     r->depth = raw_find(l, RAW_DEPTH);
     memcpy(r->luma, luma_of(j), sizeof r->luma);
     r->pixel_aspect = 1;
-    r->display_width = l->width;
+    r->display_width = j->walled ? j->of_wall.frame_width : l->width;
 }
 
 // The index of what was asked for, when the reader has made it a target of that role; else -1.

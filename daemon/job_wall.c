@@ -76,6 +76,7 @@ static void kind_of(const struct job *j, struct wall_need *n)
     n->height = w->frame_height;
     n->channels = t ? t->channels : j->layout.target[0].planes;
     n->pixel_aspect = t ? t->pixel_aspect : 1;
+    n->display_width = t ? t->display_width : w->frame_width;
     n->x = w->geometry.x;
     n->y = w->geometry.y;
     memcpy(&n->params, &j->params, sizeof n->params);
@@ -163,7 +164,7 @@ int job_wall_plan(struct job *j, struct bloom *b, struct fault *f)
     struct job_wall *w = &j->of_wall;
     struct wall_need kind;
     kind_of(j, &kind);
-    if (bloom_wall_need(b, &j->params, kind.pixel_aspect, kind.channels, &w->geometry, w->need, f) < 0)
+    if (bloom_wall_need(b, &j->params, kind.pixel_aspect, kind.channels, kind.display_width, &w->geometry, w->need, f) < 0)
         return -1;
     w->has_need = true;
     memcpy(kind.part, w->need, sizeof kind.part);
@@ -195,8 +196,6 @@ int job_wall_begin(struct job *j, struct bloom_wall *b, struct bloom_adapt *adap
     // What no panel shows stays dark.
     memset(w->drive->data, 0, drive_bytes(j));
     *b = w->geometry;
-    b->x -= w->x;
-    b->y -= w->y;
     b->frame_width = w->frame_width;
     b->frame_height = w->frame_height;
     b->frame_x = w->x;

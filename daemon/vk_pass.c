@@ -434,7 +434,7 @@ void vk_dispatch(struct vk_commands *c, const struct vk_draw *d, const struct vk
     vkCmdFillBuffer(c->buffer, counts->buffer, 0, VK_WHOLE_SIZE, 0);
     VkMemoryBarrier2 barrier = {
         .sType = VK_STRUCTURE_TYPE_MEMORY_BARRIER_2,
-        .srcStageMask = VK_PIPELINE_STAGE_2_CLEAR_BIT,
+        .srcStageMask = VK_PIPELINE_STAGE_2_ALL_TRANSFER_BIT, // where a fill is one
         .srcAccessMask = VK_ACCESS_2_TRANSFER_WRITE_BIT,
         .dstStageMask = VK_PIPELINE_STAGE_2_COMPUTE_SHADER_BIT,
         .dstAccessMask = VK_ACCESS_2_SHADER_STORAGE_READ_BIT | VK_ACCESS_2_SHADER_STORAGE_WRITE_BIT,

@@ -261,7 +261,7 @@ unsigned walls_list(struct walls *w, struct wall_ref *out[WALLS_MAX])
 // A struct params is zeroed before it is set, so equal requests are equal bytes; if not, the need is worked out again.
 static bool same_kind(const struct wall_need *a, const struct wall_need *b)
 {
-    return a->width == b->width && a->height == b->height && a->channels == b->channels &&
+    return a->width == b->width && a->height == b->height && a->display_width == b->display_width && a->channels == b->channels &&
            a->pixel_aspect == b->pixel_aspect && a->x == b->x && a->y == b->y && !memcmp(&a->params, &b->params, sizeof a->params);
 }
 

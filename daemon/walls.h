@@ -22,7 +22,7 @@ struct walls;
 
 struct wall_need { /* of a kind of frame: which part of it the wall's light comes from */
     bool known;
-    uint32_t width, height;
+    uint32_t width, height, display_width;
     unsigned channels;
     float pixel_aspect;
     struct params params;

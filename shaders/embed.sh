@@ -57,6 +57,15 @@ for channels in 1 3; do
     one histogram_c$channels histogram.comp -DCHANNELS=$channels
     one histogram_c${channels}_half histogram.comp -DCHANNELS=$channels -DHALF
 done
+for channels in 1 3; do
+    one wall_columns_c$channels wall_columns.frag -DCHANNELS=$channels
+done
+for half in "" _half; do
+    one wall_rows_input$half wall_rows.frag -DINPUT ${half:+-DHALF}
+    one wall_rows_output$half wall_rows.frag -DOUTPUT ${half:+-DHALF}
+done
+one wall_rows_level wall_rows.frag
+one wall_rows_layered wall_rows.frag -DLAYERED
 finish() { # header table: what `one` has gathered
     {
         echo "/* Made by shaders/embed.sh. */"

@@ -32,7 +32,7 @@ install: all
 	$(call at_prefix,systemd/gpu.conf,$(I)/share/doc/airyd/examples/gpu.conf)
 	$(call at_prefix,systemd/wall.conf,$(I)/share/doc/airyd/examples/wall.conf)
 	install -m 644 systemd/airyd.sysusers $(I)/lib/sysusers.d/airyd.conf
-	install -m 644 systemd/60-airy-wall.rules $(I)/lib/udev/rules.d/
+	install -m 644 systemd/70-airy-wall.rules $(I)/lib/udev/rules.d/
 
 # A staged install, stripped; what it needs is read out of its programs (dpkg-shlibdeps, of the package dpkg-dev).
 DEB_ARCH = $(shell dpkg --print-architecture)

@@ -85,6 +85,9 @@ void peer_welcome(struct peer *p)
     w.server = (char *)"peer/1";
     w.limits = &limits;
     w.device = &device;
+    char *features[] = { (char *)"exr", (char *)"wall" };
+    w.features = features;
+    w.n_features = p->no_walls ? 1 : 2;
     peer_send(p, WIRE_WELCOME, 0, &w.base);
 }
 

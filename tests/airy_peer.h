@@ -37,6 +37,7 @@ struct peer {
     struct body_arena arena;
     uint64_t credit_bytes;
     uint32_t max_requests;
+    bool no_walls; /* WELCOME does not name the feature */
     pthread_t thread;
     void (*script)(struct peer *p);
     unsigned fds_before;

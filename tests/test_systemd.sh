@@ -61,7 +61,7 @@ t() {
     local page
     {
         printf '%s\n' bin/airy bin/airyd include/airy.h lib/some-arch/libairy.{a,so,so.0} lib/some-arch/pkgconfig/libairy.pc \
-            lib/systemd/{system,user}/airyd.{service,socket} lib/sysusers.d/airyd.conf lib/udev/rules.d/60-airy-wall.rules \
+            lib/systemd/{system,user}/airyd.{service,socket} lib/sysusers.d/airyd.conf lib/udev/rules.d/70-airy-wall.rules \
             share/doc/airyd/{README.md,LICENSE,PROTOCOL.md,airy.proto,examples/gpu.conf,examples/wall.conf}
         for page in client/*.[1-8] proto/*.[1-8] daemon/*.[1-8] daemon/wall/*.[1-8]; do
             [ -e "$page" ] && echo "share/man/man${page##*.}/${page##*/}"
@@ -153,7 +153,7 @@ needs systemd-sysusers "the group airy-wall" && check "the group airy-wall is ma
 t() { # the rule's three boards, each for the group and for who sits there
     local rule
     for id in 1d50:607a 1d50:614d 16d0:10a9; do
-        rule=$(grep -F "ATTR{idVendor}==\"${id%:*}\", ATTR{idProduct}==\"${id#*:}\"" "$R/usr/lib/udev/rules.d/60-airy-wall.rules")
+        rule=$(grep -F "ATTR{idVendor}==\"${id%:*}\", ATTR{idProduct}==\"${id#*:}\"" "$R/usr/lib/udev/rules.d/70-airy-wall.rules")
         why="no rule for $id" && [ -n "$rule" ] && why="$id: $rule" && grep -qF 'GROUP="airy-wall", MODE="0660", TAG+="uaccess"' <<<"$rule" || return 1
     done
 }

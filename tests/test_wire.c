@@ -223,7 +223,7 @@ static void fuzzed_bodies_never_break_the_decoder(void **state)
         &airy__hello__descriptor,    &airy__welcome__descriptor,      &airy__bloom__descriptor,
         &airy__result__descriptor,   &airy__error__descriptor,        &airy__credit__descriptor,
         &airy__progress__descriptor, &airy__status_reply__descriptor, &airy__asset__descriptor,
-        &airy__asset_kept__descriptor,
+        &airy__asset_kept__descriptor, &airy__wall__descriptor,       &airy__wall_reply__descriptor,
     };
     char *seed_text = read_whole("proto/vectors/result_memfd.hex");
     uint8_t good[4096];
@@ -292,6 +292,10 @@ static const ProtobufCMessageDescriptor *body_descriptor(enum wire_type t)
         return &airy__asset__descriptor;
     case WIRE_ASSET_KEPT:
         return &airy__asset_kept__descriptor;
+    case WIRE_WALL:
+        return &airy__wall__descriptor;
+    case WIRE_WALL_REPLY:
+        return &airy__wall_reply__descriptor;
     default:
         return NULL;
     }

@@ -15,13 +15,16 @@ $(T)/test_reference $(T)/test_reference_pipeline: $(T)/reference/reference.o
 HARD_TESTS := $(filter $(T)/test_hard%,$(TESTS))
 $(T)/test_engine $(HARD_TESTS) $(T)/test_property: $(T)/reference/reference.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(HARD_TESTS): $(T)/hard_kit.o
+$(T)/test_wall_engine: $(T)/reference/reference.o $(T)/reference/reference_wall.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
-$(T)/test_server $(T)/test_server_frames $(T)/test_server_life: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_server $(T)/test_server_frames $(T)/test_server_life $(T)/test_server_walls: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
+$(T)/test_wall_colour: $(T)/reference/reference_led.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset: $(T)/airy_peer.o
+$(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_wall_command: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
@@ -29,7 +32,21 @@ $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
+# What a wall hands to its boards is recorded in their place.
+$(T)/test_wall_boards: LDFLAGS += -Wl,--wrap=usb_board_add,--wrap=usb_board_remove,--wrap=usb_board_send,--wrap=usb_board_idle,--wrap=usb_board_stats
+
 $(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+
+# Boards without hardware; these programs run under umockdev-wrapper.
+USB_KIT := $(T)/usb_kit.o $(T)/usb_kit_model.o
+USB_TESTS := $(T)/test_usb $(T)/test_usb_faults $(T)/test_panel $(T)/test_panel_gud
+$(T)/usb_kit.o: CPPFLAGS += $(call pkgcflags,umockdev-1.0)
+$(USB_TESTS): $(USB_KIT) $(T)/usb_rig.o
+$(USB_TESTS): TEST_LIBS += $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
+$(T)/test_usb: | $(T)/usb_probe
+$(T)/usb_probe: $(T)/usb_probe.o $(BUILD)/wall.a $(BUILD)/proto.a
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_WALL) -lprotobuf-c
 
 $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(call say,LD $@)

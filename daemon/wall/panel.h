@@ -4,9 +4,10 @@
  * (panel_fadecandy.c, panel_gud.c); usb.c does everything that is the same for all: finding, opening, hot-plug, the
  * transfers in flight, time-outs, statistics.
  *
- * Every function runs on the thread of usb.c that handles libusb's events, or on its thread that opens boards; none may
- * block on the event thread: what takes a round trip is a list of steps (struct panel_step) that usb.c submits one after
- * the other.
+ * Every function runs either on the board's own thread (open, mend, close: they may block) or on whichever thread sends
+ * the next frame, often the one that handles libusb's events (encode, reply, query, answer: they may not). What takes a
+ * round trip there is a list of steps (struct panel_step) that usb.c submits one after the other. Calls of one state come
+ * from different threads, one at a time, but that query and answer may run beside mend.
  */
 #ifndef AIRYD_PANEL_H
 #define AIRYD_PANEL_H
@@ -29,15 +30,20 @@ struct panel_config { /* what the wall says of this board; constant while it is 
     uint16_t lut[3 * 257];
 };
 
-/* A transfer: control (endpoint 0) or bulk OUT. The data lie in the frame's buffer. */
+enum { PANEL_CONTROL_MAX = 64 }; /* bytes of a control step, without its 8 setup bytes */
+
+/* A transfer: control (endpoint 0) or bulk OUT. What goes out lies in the frame's buffer; what a control IN brings back
+ * goes to panel_ops.reply. */
 struct panel_step {
     bool control;
     uint8_t request_type, request; /* of control */
     uint16_t value, index;
-    size_t offset, length;         /* in panel_frame.data; of a control transfer without its 8 setup bytes */
+    size_t offset, length;         /* in panel_frame.data; of a control transfer at most PANEL_CONTROL_MAX */
 };
 
-struct panel_frame { /* one frame as this controller wants it; buffers are made once, at open */
+struct panel_need { size_t bytes; unsigned steps; }; /* of one frame, at most */
+
+struct panel_frame { /* one frame as this controller wants it; usb.c makes the buffers once, at open, by panel_need */
     uint8_t *data;
     size_t size, room;
     struct panel_step *step;
@@ -48,17 +54,25 @@ struct panel_ops {
     const char *name;          /* "fadecandy" */
     enum wall_board_kind kind;
     struct { uint16_t vendor, product; } id[4]; /* until {0, 0} */
+    unsigned in_flight;        /* frames that may be under way at once: 1 where a frame takes steps that must not mix; at most 2 */
     /* Which interface and bulk OUT endpoint: 0, or -1 and *f when this is no such device. Descriptors are hostile. */
     int (*probe)(const struct libusb_config_descriptor *c, uint8_t *interface, uint8_t *endpoint, struct fault *f);
-    /* After the interface is claimed; may block (opener's thread), each transfer at most 1 s. *state is the driver's. */
+    /* After the interface is claimed; may block, each transfer at most 1 s. *state is the driver's. 0, or -1 and *f:
+     * FAULT_WALL: the device is not fit for this wall, and is not asked again before it is plugged in anew; any other code:
+     * it may be tried again. */
     int (*open)(void **state, struct libusb_device_handle *h, uint8_t interface, uint8_t endpoint,
-                const struct panel_config *c, struct fault *f);
+                const struct panel_config *c, struct panel_need *need, struct fault *f);
     void (*close)(void *state);
     /* rgb: 3 * width * height bytes, in the order of the wire. Fills the frame; full: the board's content is unknown (first
-     * frame, after a fault). */
-    int (*encode)(void *state, const uint8_t *rgb, bool full, struct panel_frame *f);
-    /* Statistics of the board itself: fills up to `max` control IN steps (length at most 64 each), and reads the answer of
-     * one. 0: it has none. */
+     * frame, after a fault). It never needs more than it said at open. */
+    void (*encode)(void *state, const uint8_t *rgb, bool full, struct panel_frame *f);
+    /* What a control IN step of a frame brought back: 0, or -1 and *f (the frame has failed). NULL: it has no such steps. */
+    int (*reply)(void *state, const struct panel_step *step, const uint8_t *data, size_t length, struct fault *f);
+    /* After a stall, when the endpoint's halt is cleared; may block. 0, or -1 and *f, the board's own word for what was wrong.
+     * NULL: nothing to do. */
+    int (*mend)(void *state, struct fault *f);
+    /* Statistics of the board itself: fills up to `max` control IN steps (length at most PANEL_CONTROL_MAX each), and reads
+     * the answer of one, of any length. 0, or NULL: it has none. */
     unsigned (*query)(void *state, struct panel_step *step, unsigned max);
     void (*answer)(void *state, unsigned i, const uint8_t *data, size_t length, uint64_t *rendered, uint64_t *received);
 };

@@ -14,9 +14,11 @@
 
 struct wall_colour;
 
+/* LEDs that no run names are not there: they draw nothing. A supply's amps are above its limit only when the idle current of its
+ * LEDs alone is; then they are black. */
 struct wall_power {
-    double amps;       /* estimate for what is sent, after the limit; of a board or of a supply */
-    double wanted;     /* before the limit */
+    double amps;       /* estimate from the bytes that are sent, after the limit; of a board or of a supply */
+    double wanted;     /* before the limit, of the light before dither */
     double scale;      /* 0..1: the limit's factor in use (of a board: its supply's) */
 };
 

@@ -20,12 +20,14 @@ enum {
     WALL_TEXT_MAX = 60 * 1024,   /* bytes of a definition: it fits in one message */
     WALL_SIDE_MAX = 4096,        /* wall pixels, each way */
     WALL_PIXELS_MAX = 1 << 20,   /* of a wall */
+    WALL_LEDS_MAX = 1 << 20,     /* of all boards, lit or not */
     WALL_PANELS_MAX = 1024,
     WALL_BOARDS_MAX = 64,
     WALL_RUNS_MAX = 8192,        /* of all boards */
     WALL_SUPPLIES_MAX = 64,
     WALL_NAME_MAX = 64,
-    WALL_FAULTS_MAX = 64         /* mistakes that are told at once */
+    WALL_FAULTS_MAX = 64,        /* mistakes that are told at once */
+    WALL_NOTES_MAX = 16
 };
 
 enum wall_fit { WALL_FILL, WALL_CONTAIN, WALL_STRETCH };
@@ -41,10 +43,10 @@ struct wall_panel {
     uint32_t x, y;          /* wall pixels: top left corner of the panel as it hangs */
     uint32_t width, height; /* LEDs of the panel itself, before it is turned */
     unsigned rotate;        /* 0, 90, 180, 270 degrees clockwise, as it hangs */
-    bool flip_x, flip_y;    /* mirrored before it is turned */
-    bool serpentine;        /* every second line of its wiring runs back */
+    bool flip_x, flip_y;    /* mirrored left to right, top to bottom, before it is turned */
+    bool serpentine;        /* every second line of its wiring (the 2nd, 4th ...) runs back */
     bool columns;           /* the wiring's lines are columns, else rows */
-    enum wall_corner origin; /* where LED 0 is, on the panel itself */
+    enum wall_corner origin; /* where LED 0 is, on the panel itself, before flip and rotate */
     float gain[3];          /* calibration, linear, 0..1 */
     unsigned line;          /* of the definition, for messages */
 };
@@ -81,9 +83,10 @@ struct wall_board {
 
 struct wall_def {
     char name[WALL_NAME_MAX];
-    uint32_t width, height;    /* of the whole wall (canvas), pixels; a node of a split wall names only its panels */
+    uint32_t width, height;    /* of the whole wall (canvas), pixels; a node of a split wall names only its panels.
+                                  Not said: as far as the panels reach */
     double rate;               /* frames per second, 1..240 */
-    double hold_s, fade_s;     /* 0..3600 each: a lost source is held, then faded */
+    double hold_s, fade_s;     /* 0..3600 each: a lost source is held, then faded; hold_s INFINITY: held forever */
 
     enum wall_fit fit;         /* the display window on the canvas; default fill */
     double window[4];          /* of the display window, as shares 0..1: x, y, width, height; default 0 0 1 1 */
@@ -110,14 +113,25 @@ struct wall_def {
 };
 
 struct wall_mistake { unsigned line, column; char text[256]; };
-struct wall_mistakes { unsigned count; struct wall_mistake at[WALL_FAULTS_MAX]; bool more; };
+struct wall_mistakes {
+    unsigned count;
+    struct wall_mistake at[WALL_FAULTS_MAX];
+    bool more;                 /* there are more mistakes than these */
+    unsigned notes;            /* what is possible, but perhaps not meant; also where nothing is wrong */
+    struct wall_mistake note[WALL_NOTES_MAX];
+};
 
 /* 0 and *out (wall_def_free it), or -1: with all mistakes that were found, in the order of the lines, in *m, and *f with
- * the first (FAULT_WALL, field "wall", "line 12: ..."). m may be NULL. */
+ * the first (FAULT_WALL, field "wall", "line 12: ...", or NO_MEMORY). m may be NULL. The text need not end in a NUL. */
 int wall_def_parse(struct wall_def **out, const char *text, size_t bytes, struct wall_mistakes *m, struct fault *f);
 void wall_def_free(struct wall_def *d); /* NULL is fine */
 
-/* LED k of a panel's wiring -> wall pixel. */
+/*
+ * LED k of a panel's wiring -> wall pixel; k < width * height of the panel. The wiring has lines of width LEDs (columns: of
+ * height); the first line lies at the origin's edge and starts in the origin's corner; serpentine lines go there and back.
+ * That gives column u and row v on the panel itself. Then flip_x: u = width - 1 - u, flip_y: v = height - 1 - v. Then,
+ * clockwise, 90: (height - 1 - v, u), 180: (width - 1 - u, height - 1 - v), 270: (v, width - 1 - u). Then + (x, y).
+ */
 void wall_panel_led(const struct wall_panel *p, uint32_t k, uint32_t *x, uint32_t *y);
 /* The size of the panel as it hangs. */
 void wall_panel_size(const struct wall_panel *p, uint32_t *width, uint32_t *height);

@@ -14,7 +14,7 @@ struct wall_picture { /* sRGB, 8 bits, R G B interleaved; owned */
 
 /* The layout: each LED a cell of `cell` pixels (0: chosen so that the picture's longer side is about 1600), coloured by its board,
  * with the wiring's order as a line from LED to LED (first LED ringed, arrow heads where it turns), panel edges and names, LED numbers
- * where there is room; wall pixels without an LED dark. Legend of boards (name, kind, serial, LEDs) below. */
+ * where there is room; wall pixels without an LED dark. Of a canvas with few panels only the part that has them. Legend of boards (name, kind, serial, LEDs) below. */
 int wall_draw_layout(struct wall_picture *out, const struct wall_def *d, const struct wall_layout *l, unsigned cell,
                      struct fault *f);
 /* Wall pixels (sRGB, width * height * 3) as round-cornered cells, for a preview. */

@@ -24,6 +24,15 @@ $(BUILD)/bench/bench_exr: $(call obj,tests/bench/bench_exr.c) $(BUILD)/exr.a $(B
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_EXR) $(LIBS_PROTO) -lm
 
-.PHONY: bench
+# A wall's picture, pass by pass.
+$(BUILD)/bench/bench_wall: $(call obj,tests/bench/bench_wall.c $(filter-out tests/bench/airy_bench.c tests/bench/run_%,$(BENCH_SOURCES)) \
+	tests/reference/reference.c) $(ARCHIVES)
+	@mkdir -p $(@D)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(BENCH_LIBS)
+
+.PHONY: bench bench-wall
+bench-wall: $(BUILD)/bench/bench_wall
+	@$(BUILD)/bench/bench_wall
 bench: all $(BUILD)/bench/airy_bench $(BUILD)/bench/bench_exr
 	@$(BUILD)/bench/airy_bench --airyd $(BUILD)/airyd --csv $(BUILD)/bench/bench.csv $(BENCH)
