@@ -301,6 +301,7 @@ struct airy_controller {      /* plugged in, of a kind that can be driven */
     const char *kind, *serial, *path;
     const char *wall;         /* that uses it; empty: none */
     const char *problem;      /* empty: none */
+    bool reading;             /* its serial is being read: ask again */
 };
 
 struct airy_wall_reply {      /* owns all that it points to */

@@ -2,6 +2,7 @@
 // cmd_wall_list.c - airy wall list, open, close: what there is, and what a daemon has open.
 #include <stdio.h>
 #include <string.h>
+#include <time.h>
 
 #include "cmd_wall_asked.h"
 #include "cmd_wall_commands.h"
@@ -21,6 +22,29 @@ static const struct wall_syntax list_syntax = {
     .options = 1 << WALL_OPTION_JSON | 1 << WALL_OPTION_DEVICE,
 };
 
+static bool being_read(const struct airy_wall_reply *r)
+{
+    for (unsigned i = 0; i < r->n_controllers; i++)
+        if (r->controllers[i].reading)
+            return true;
+    return false;
+}
+
+/* A daemon that has just begun to look at USB knows the serials a little later. */
+static int list(struct airy *a, struct airy_wall_reply **r, struct airy_error *e)
+{
+    enum { TRIES = 60 };
+    for (int i = 0;; i++) {
+        if (airy_wall(a, &(struct airy_wall_request){ .action = AIRY_WALL_LIST }, WALL_TIMEOUT_MS, r, e) < 0)
+            return -1;
+        if (!being_read(*r) || i == TRIES)
+            return 0;
+        airy_wall_reply_free(*r);
+        *r = NULL;
+        nanosleep(&(struct timespec){ .tv_nsec = 50000000 }, NULL);
+    }
+}
+
 int cmd_wall_list(int argc, char **argv)
 {
     static struct wall_asked a = WALL_ASKED_INIT;
@@ -32,7 +56,7 @@ int cmd_wall_list(int argc, char **argv)
         return rc > 0 ? CMD_DONE : CMD_USAGE;
     enum cmd_exit exit = CMD_DONE;
     if (session_open(&s, &a.session, &e) < 0 ||
-        airy_wall(s.airy, &(struct airy_wall_request){ .action = AIRY_WALL_LIST }, WALL_TIMEOUT_MS, &r, &e) < 0) {
+        list(s.airy, &r, &e) < 0) {
         exit = wall_complain(list_syntax.name, &e);
     } else if (a.json) {
         struct json j = { .out = stdout };

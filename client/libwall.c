@@ -109,7 +109,7 @@ static int take_facts(struct airy_wall_reply *r, const Airy__WallReply *b, struc
         return lib_fail(e, ENOMEM, "walls", "no room for %zu walls and %zu controllers", b->n_walls, b->n_controllers);
     for (size_t i = 0; i < b->n_controllers; i++) {
         const Airy__Controller *c = b->controllers[i];
-        controllers[i] = (struct airy_controller){ c->kind, c->serial, c->path, c->wall, c->problem };
+        controllers[i] = (struct airy_controller){ c->kind, c->serial, c->path, c->wall, c->problem, c->reading };
     }
     r->walls = walls;
     r->n_walls = (unsigned)b->n_walls;

@@ -127,6 +127,8 @@ struct bloom_wall {
     float *drive;                    /* [height][width][3]: receives the result */
 };
 
+/* What the definition of a wall decides, or cannot be had on one, is not asked for: 0, or -1 and *f (PARAM_CONFLICT). */
+int bloom_wall_check_params(const struct params *p, struct fault *f);
 /* Needs the target output planes (geometry.outputs = 1) for this wall, or none (0)? */
 bool bloom_wall_is_direct(const struct params *p);
 /* The part of the frame, pixels from its corner, that the wanted wall pixels' light comes from: their rectangles, the

@@ -68,7 +68,7 @@ static int check_numbers(const struct bloom_wall *w, struct fault *f)
     return 0;
 }
 
-static int check_params(const struct params *p, struct fault *f)
+int bloom_wall_check_params(const struct params *p, struct fault *f)
 {
     const struct { bool asked; const char *name; } not_here[] = {
         { p->display != DISPLAY_NONE, "display" }, { p->saturation != 1, "saturation" },
@@ -89,7 +89,7 @@ int wall_check(const struct frame *fr)
 {
     const struct bloom_wall *w = fr->wall;
     const struct bloom_geometry *g = &fr->target->geometry;
-    if (check_numbers(w, fr->f) < 0 || check_params(fr->params, fr->f) < 0)
+    if (check_numbers(w, fr->f) < 0 || bloom_wall_check_params(fr->params, fr->f) < 0)
         return -1;
     if (g->grow || g->outputs > 1 || (!fr->wall_direct && g->outputs != 1))
         return fault_set(fr->f, FAULT_INTERNAL, "wall", "a target with %u outputs, grown by %u pixels: %s expected", g->outputs, g->grow,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // job_wall.c - what of a job's work is different when its frame is for a wall; see job.h.
 #include <errno.h>
-#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <time.h>
@@ -11,19 +10,8 @@
 
 int job_wall_check(const struct job *j, struct fault *f)
 {
-    const struct params *p = &j->params;
-    const char *field = p->layer_count              ? "params.layers"
-                        : p->grow_size.value > 0     ? "params.grow"
-                        : p->display != DISPLAY_NONE ? "params.display"
-                        : p->saturation != 1         ? "params.saturation"
-                        : p->encoding != ENCODING_LINEAR ? "params.encoding"
-                                                         : NULL;
-    if (field)
-        return fault_set(f, FAULT_PARAM_CONFLICT, field,
-                         "a wall's picture has no layers and no other size, and its tone map, saturation and transfer are in its definition");
-    if (p->storage == STORAGE_HALF)
-        return fault_set(f, FAULT_PARAM_CONFLICT, "params.storage",
-                         "storage=half scales with the whole frame, and nodes of a split wall see only parts: float or auto expected");
+    if (bloom_wall_check_params(&j->params, f) < 0)
+        return -1;
     const struct job_wall *w = &j->of_wall;
     if (!j->raw && (w->frame_width || w->frame_height || w->x || w->y))
         return fault_set(f, FAULT_PAYLOAD, "wall.frame_width", "a file's windows say where it lies: 0 expected");
@@ -95,11 +83,24 @@ static void overlap(const struct job_wall *w, uint32_t width, uint32_t height, u
     out[3] = within((int64_t)w->need[3] - w->y, out[1] + 1, height);
 }
 
+// Light that is left out would be a seam.
+static int check_part(const struct job *j, struct fault *f)
+{
+    const struct job_wall *w = &j->of_wall;
+    const struct raw_layout *l = &j->layout;
+    if (w->need[0] >= w->x && w->need[1] >= w->y && w->need[2] <= (int64_t)w->x + l->width && w->need[3] <= (int64_t)w->y + l->height)
+        return 0;
+    return fault_set(f, FAULT_LAYOUT, "wall.x", "%u x %u pixels at %d, %d; the wall's light comes from %d x %d at %d, %d, all of which is expected",
+                     l->width, l->height, w->x, w->y, w->need[2] - w->need[0], w->need[3] - w->need[1], w->need[0], w->need[1]);
+}
+
 static int cut_raw(struct job *j, struct fault *f)
 {
     struct job_wall *w = &j->of_wall;
     struct raw_layout *l = &j->layout;
     uint32_t part[4];
+    if (check_part(j, f) < 0)
+        return -1;
     overlap(w, l->width, l->height, part);
     w->whole_width = l->width;
     w->whole_height = l->height;
@@ -136,8 +137,10 @@ static int cut_exr(struct job *j, struct fault *f)
 
 static int cut(struct job *j, struct fault *f)
 {
+    if ((j->raw ? cut_raw(j, f) : cut_exr(j, f)) < 0)
+        return -1;
     j->of_wall.placed = true;
-    return j->raw ? cut_raw(j, f) : cut_exr(j, f);
+    return 0;
 }
 
 int job_wall_open(struct job *j, struct fault *f)

@@ -146,7 +146,7 @@ static void controllers(Airy__WallReply *o, struct usb *usb, struct wall_ref *co
                         bool *full)
 {
     struct usb_found found[FOUND_MAX];
-    const unsigned count = usb_list(usb, found, FOUND_MAX);
+    const unsigned count = usb_list(usb, found, FOUND_MAX, 0);
     Airy__Controller *all = take(a, count, sizeof *all, full);
     o->controllers = take(a, count, sizeof *o->controllers, full);
     for (unsigned i = 0; i < count && all && o->controllers; i++) {
@@ -156,6 +156,7 @@ static void controllers(Airy__WallReply *o, struct usb *usb, struct wall_ref *co
         all[i].serial = text(a, c->serial, full);
         all[i].path = text(a, c->path, full);
         all[i].wall = text(a, user_of(refs, n, c), full);
+        all[i].reading = c->reading;
         all[i].problem = text(a, *c->why ? c->why : c->twice ? "another controller has the same serial" : "", full);
         o->controllers[o->n_controllers++] = &all[i];
     }
@@ -213,7 +214,7 @@ static int find_board(const struct wall_ref *r, const char *name, unsigned *out,
                      r->def->n_boards ? r->def->board[0].name : "");
 }
 
-static int pattern(const struct wall_ref *r, const Airy__Wall *m, struct fault *f)
+static int pattern(struct wall_ref *r, const Airy__Wall *m, const void *client, struct fault *f)
 {
     struct wall_pattern p = { .kind = PATTERN_NONE, .led = m->led, .level = m->level == 0 ? 0.25 : m->level };
     if (*m->pattern && !wall_pattern_read(&p.kind, m->pattern))
@@ -224,7 +225,10 @@ static int pattern(const struct wall_ref *r, const Airy__Wall *m, struct fault *
         return fault_set(f, FAULT_PARAM_RANGE, "level", "%g; expected 0 to 1", m->level);
     if (p.kind == PATTERN_LED && find_board(r, m->board, &p.board, f) < 0)
         return -1;
-    return wall_pattern(r->wall, &p, f);
+    if (wall_pattern(r->wall, &p, f) < 0)
+        return -1;
+    r->tester = p.kind == PATTERN_NONE ? NULL : client;
+    return 0;
 }
 
 static int preview(const struct wall_desk *d, const struct wall_ref *r, Airy__WallReply *o, struct body_arena *a,
@@ -245,10 +249,10 @@ static int preview(const struct wall_desk *d, const struct wall_ref *r, Airy__Wa
 }
 
 // The wall's state in the reply says its size to who has only its name.
-static int about(const struct wall_desk *d, const Airy__Wall *m, struct wall_ref *r, Airy__WallReply *o, struct body_arena *a,
+static int about(const struct wall_desk *d, const Airy__Wall *m, const void *client, struct wall_ref *r, Airy__WallReply *o, struct body_arena *a,
                  struct block **picture, uint64_t *bytes, struct fault *f)
 {
-    if (m->action == AIRY__WALL__ACTION__PATTERN && pattern(r, m, f) < 0)
+    if (m->action == AIRY__WALL__ACTION__PATTERN && pattern(r, m, client, f) < 0)
         return -1;
     if (m->action == AIRY__WALL__ACTION__PREVIEW && preview(d, r, o, a, picture, bytes, f) < 0)
         return -1;
@@ -278,7 +282,7 @@ int wall_message(const struct wall_desk *d, const Airy__Wall *m, const void *cli
     case AIRY__WALL__ACTION__PATTERN:
     case AIRY__WALL__ACTION__PREVIEW:
         if ((r = walls_find(d->walls, m->name, f)))
-            rc = about(d, m, r, o, arena, picture, bytes, f);
+            rc = about(d, m, client, r, o, arena, picture, bytes, f);
         walls_release(r);
         return rc;
     default:

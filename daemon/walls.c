@@ -223,6 +223,10 @@ void walls_client_gone(struct walls *w, const void *client)
         next = TAILQ_NEXT(r, link);
         if (r->source == client)
             r->source = NULL;
+        if (r->tester == client) {
+            r->tester = NULL;
+            wall_pattern(r->wall, &(struct wall_pattern){ .kind = PATTERN_NONE }, NULL);
+        }
         if (r->owner == client)
             retire(w, r);
     }

@@ -41,6 +41,7 @@ struct wall_ref {
     const void *owner;           /* it goes with this client; NULL: it stays */
     const void *source;          /* whose frames are shown */
     uint64_t source_ns;          /* the last of them */
+    const void *tester;          /* whose test pattern is shown */
     /* Of its lane's device thread: one frame after the other. */
     struct bloom_adapt adapt;
     uint64_t adapt_ns;           /* time of the frame before */
@@ -64,7 +65,7 @@ int walls_open(struct walls *w, const char *text, size_t bytes, struct asset *ga
 struct wall_ref *walls_find(struct walls *w, const char *name, struct fault *f);
 void walls_release(struct wall_ref *r); /* NULL is fine */
 int walls_close(struct walls *w, const char *name, struct fault *f);
-/* Closes what this client has opened, and frees what shows its frames. */
+/* Closes what this client has opened, ends its test patterns, and frees what shows its frames. */
 void walls_client_gone(struct walls *w, const void *client);
 /* May this client's frames be shown now? Frames of one client at a time: another's are let in when it has sent none for the wall's
  * hold time (at most 2 s), or has gone. 0, or -1 and *f (WALL_BUSY). */

@@ -56,6 +56,7 @@ pure="wall_def wall_layout psf plan frame params params_check reference referenc
     frames exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
     server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched wall_engine"
+usb="panel panel_gud usb usb_faults"
 
 # Two lanes, for the driver compiles shaders on one core: what draws with many of them in one process, and all else.
 draw() {
@@ -71,6 +72,11 @@ draw() {
 serve() {
     for t in $pure; do
         AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
+    done
+    for t in $usb; do
+        run "$t" umockdev-wrapper "$BUILD/tests/test_$t"
+        run "asan-$t" env ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0 umockdev-wrapper "$A/tests/test_$t"
+        run "tsan-$t" umockdev-wrapper "$S/tests/test_$t"
     done
     for s in tests/test_*.sh; do
         AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$(basename "${s%.sh}" | sed 's/^test_//')" bash "$s"

@@ -74,8 +74,7 @@ static void test_sixty_frames_per_second(void **state)
     struct usb *u = rig_usb();
     struct usb_board *b = rig_add(u, WALL_FADECANDY, k->serial, 64, 8);
     rig_wait_state(b, USB_READY);
-    rig_send_paced(b, LEDS, 1, 120, 60);
-    rig_wait_frames(k, 120);
+    rig_send_steady(b, k, LEDS, 1, 120, 60);
     rig_wait_idle(b);
     for (unsigned i = 0; i < 120; i++)
         assert_int_equal(k->id[i], i + 1);
@@ -125,7 +124,7 @@ static void test_gud_full_rate(void **state)
     struct usb_board *b = rig_add(u, WALL_GUD, k->serial, W, H);
     rig_wait_state(b, USB_READY);
     assert_true(k->committed && k->lit);
-    rig_send_paced(b, W * H, 1, N, 60);
+    rig_send_steady(b, k, W * H, 1, N, 60);
     rig_wait_idle(b);
     const struct usb_stats s = rig_stats(b);
     assert_int_equal(s.sent + s.dropped, N);
@@ -264,7 +263,7 @@ static void test_one_serial_twice(void **state)
     rig_wait_state(b, USB_READY);
     kit_plug(k2);
     assert_true(rig_until(twins_reported, NULL));
-    const unsigned n = usb_list(u, f, 8);
+    const unsigned n = usb_list(u, f, 8, 3000);
     assert_int_equal(n, 2);
     assert_true(found_at(f, n, "TWIN", 0)->twice && found_at(f, n, "TWIN", 1)->twice);
     assert_true(found_at(f, n, "TWIN", 0)->in_use);
@@ -313,9 +312,9 @@ static void test_list(void **state)
         kit_plug(k[i]);
     struct usb *u = rig_usb();
     struct usb_found f[8];
-    assert_int_equal(usb_list(u, f, 8), 5);
-    assert_int_equal(usb_list(u, f, 2), 2);
-    assert_int_equal(usb_list(u, f, 8), 5);
+    assert_int_equal(usb_list(u, f, 8, 3000), 5);
+    assert_int_equal(usb_list(u, f, 2, 3000), 2);
+    assert_int_equal(usb_list(u, f, 8, 3000), 5);
     assert_int_equal(found_at(f, 5, "LISTED", 0)->kind, WALL_FADECANDY);
     assert_int_equal(found_at(f, 5, "LISTED", 0)->release, 0x0108);
     assert_int_equal(found_at(f, 5, "DISPLAY", 0)->kind, WALL_GUD);

@@ -39,9 +39,10 @@ $(T)/test_server_assets $(T)/test_asset: $(T)/daemon_fixture.o $(T)/daemon_pictu
 
 # Boards without hardware; these programs run under umockdev-wrapper.
 USB_KIT := $(T)/usb_kit.o $(T)/usb_kit_model.o
-USB_TESTS := $(T)/test_usb $(T)/test_usb_faults $(T)/test_panel $(T)/test_panel_gud
+USB_TESTS := $(T)/test_usb $(T)/test_usb_faults $(T)/test_panel $(T)/test_panel_gud $(T)/test_usb_daemon
 $(T)/usb_kit.o: CPPFLAGS += $(call pkgcflags,umockdev-1.0)
 $(USB_TESTS): $(USB_KIT) $(T)/usb_rig.o
+$(T)/test_usb_daemon: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(USB_TESTS): TEST_LIBS += $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
 $(T)/test_usb: | $(T)/usb_probe
 $(T)/usb_probe: $(T)/usb_probe.o $(BUILD)/wall.a $(BUILD)/proto.a

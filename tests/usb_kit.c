@@ -263,6 +263,8 @@ static int discard(struct kit_board *b, UMockdevIoctlClient *client, UMockdevIoc
 // 0 or an errno; with the board's lock.
 static int serve(struct kit_board *b, UMockdevIoctlClient *client, unsigned long request, UMockdevIoctlData *arg)
 {
+    if (strcmp(umockdev_ioctl_client_get_devnode(client), b->node) != 0) // of an earlier plugging-in
+        return ENODEV;
     if (b->gone && request != USBDEVFS_REAPURBNDELAY && request != USBDEVFS_REAPURB && request != USBDEVFS_DISCARDURB)
         return ENODEV;
     switch (request) {
@@ -370,6 +372,11 @@ static void make_node(struct kit_board *b, bool heard)
     pthread_mutex_lock(&b->lock);
     b->fifo = fifo;
     b->gone = b->halted = false;
+    while (b->done) { // of who held the earlier node
+        struct kit_urb *u = b->done;
+        b->done = u->next;
+        urb_free(u);
+    }
     b->busy_until_ns = 0;
     b->committed = b->lit = b->named = false;
     set_ready(b, false);
@@ -383,7 +390,9 @@ static void new_address(struct kit_board *b)
     b->address = 1 + n;
     if (b->address > 255)
         abort(); // a libusb device's address is a byte
+    pthread_mutex_lock(&b->lock);
     snprintf(b->node, sizeof(b->node), "/dev/bus/usb/%03u/%03u", b->bus, b->address);
+    pthread_mutex_unlock(&b->lock);
     snprintf(b->syspath, sizeof(b->syspath), "/sys/devices/usb1/1-%u", b->port);
 }
 
@@ -498,7 +507,7 @@ void kit_unplug(struct kit_board *b)
         usleep(20000); // whoever hears of it may still look at the device's attributes
         umockdev_testbed_remove_device(b->kit->bed, b->syspath);
     }
-    umockdev_testbed_detach_ioctl(b->kit->bed, b->node, NULL);
+    // The node's handler stays: whoever has it open still gets ENODEV, not a broken line.
     pthread_mutex_lock(&b->lock);
     if (b->fifo >= 0)
         close(b->fifo);
@@ -593,6 +602,11 @@ void kit_destroy(struct usb_kit *k)
     g_object_unref(k->bed); // ends the thread that serves the ioctls
     for (unsigned i = 0; i < k->boards; i++) {
         struct kit_board *b = k->board[i];
+        while (b->done) {
+            struct kit_urb *u = b->done;
+            b->done = u->next;
+            urb_free(u);
+        }
         free(b->reply);
         free(b->picture);
         pthread_cond_destroy(&b->change);

@@ -17,7 +17,7 @@ int main(void)
         fprintf(stderr, "usb_probe: %s\n", f.text);
         return 1;
     }
-    const unsigned n = usb_list(u, found, 64);
+    const unsigned n = usb_list(u, found, 64, 3000);
     for (unsigned i = 0; i < n; i++)
         printf("%s %s %s %s%s\n", panel_kinds[found[i].kind]->name, found[i].serial[0] ? found[i].serial : "-", found[i].path,
                found[i].twice ? "twice " : "", found[i].why);

@@ -79,7 +79,9 @@ struct usb *rig_usb(void)
 {
     struct usb *u = NULL;
     struct fault f = { 0 };
+    pthread_mutex_lock(&log_lock);
     log_text[0] = '\0';
+    pthread_mutex_unlock(&log_lock);
     if (usb_create(&u, on_log, &f))
         fail_msg("usb_create: %s", f.text);
     return u;
@@ -128,6 +130,18 @@ void rig_send_paced(struct usb_board *b, size_t leds, uint32_t first, unsigned c
     for (unsigned i = 0; i < count; i++) {
         sleep_until(start + (uint64_t)(1e9 / rate * i));
         rig_send(b, leds, first + i);
+    }
+}
+
+void rig_send_steady(struct usb_board *b, struct kit_board *k, size_t leds, uint32_t first, unsigned count, double rate)
+{
+    uint64_t next = now_ns();
+    for (unsigned i = 0; i < count; i++, next += (uint64_t)(1e9 / rate)) {
+        const uint64_t frames = kit_frames(k);
+        sleep_until(next);
+        rig_send(b, leds, first + i);
+        rig_wait_frames(k, frames + 1);
+        rig_wait_idle(b);
     }
 }
 

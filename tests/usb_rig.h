@@ -26,6 +26,9 @@ void rig_frame(uint8_t *rgb, size_t leds, uint32_t n);
 void rig_send(struct usb_board *b, size_t leds, uint32_t n);
 /* Frames first .. first + count - 1, at the rate. */
 void rig_send_paced(struct usb_board *b, size_t leds, uint32_t first, unsigned count, double rate);
+/* The same, but each only after the one before has arrived: on a machine that is too busy for the rate it takes longer, and
+ * still any frame that is dropped is a mistake. */
+void rig_send_steady(struct usb_board *b, struct kit_board *k, size_t leds, uint32_t first, unsigned count, double rate);
 void rig_sleep_ms(unsigned ms);
 
 /* Waits; fails the test when it does not come. */

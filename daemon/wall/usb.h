@@ -59,14 +59,15 @@ struct usb_stats {
 /* latency_us, of USB_LATENCIES entries, or NULL: from ready to the last transfer's return. */
 void usb_board_stats(struct usb_board *b, struct usb_stats *out, uint32_t *latency_us);
 
-/* All controllers of known kinds that are plugged in, wanted or not, by path; waits up to 3 s for serials that are being read. */
+/* All controllers of known kinds that are plugged in, wanted or not, by path. Waits so long for serials that are being read; 0: not at all. */
 struct usb_found {
     enum wall_board_kind kind;
     char serial[WALL_NAME_MAX]; /* empty: could not be read, `why` */
     char path[32], why[96];
     uint16_t release;           /* bcdDevice */
+    bool reading;               /* the serial is still being read */
     bool in_use, twice;         /* twice: another has the same serial */
 };
-unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max);
+unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max, unsigned wait_ms);
 
 #endif

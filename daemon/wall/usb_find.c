@@ -98,8 +98,11 @@ static void arrive(struct usb *u, libusb_device *dev, const struct panel_ops *op
     const uint8_t bus = libusb_get_bus_number(dev), address = libusb_get_device_address(dev);
     struct usb_entry *e = entry_at(u, bus, address), **end = &u->entry;
     if (e) {
-        if (hot && !e->device)
+        if (hot && !e->device) { // seen on the bus before it was announced, perhaps too early to be opened
             e->device = libusb_ref_device(dev);
+            e->read = e->read && e->serial[0];
+            pthread_cond_broadcast(&u->found);
+        }
         return;
     }
     e = calloc(1, sizeof(*e));
@@ -276,8 +279,8 @@ static void read_entry(struct usb *u, uint64_t arrival)
         return;
     const bool news = !e->read || strcmp(e->why, why) != 0;
     e->read = true;
-    e->locked = r == LIBUSB_ERROR_ACCESS;
-    e->retry_ns = e->locked ? usb_now_ns() + USB_RESCAN_MS * 1000000ull : 0;
+    e->unopened = r != 0;
+    e->retry_ns = e->unopened ? usb_now_ns() + USB_RESCAN_MS * 1000000ull : 0;
     memcpy(e->serial, serial, sizeof(serial));
     memcpy(e->why, why, sizeof(why));
     if (news && why[0])
@@ -292,7 +295,7 @@ static void read_entry(struct usb *u, uint64_t arrival)
 static uint64_t next_unread(struct usb *u, uint64_t now_ns)
 {
     for (struct usb_entry *e = u->entry; e; e = e->next)
-        if (!e->read || (e->locked && e->retry_ns <= now_ns))
+        if (!e->read || (e->unopened && e->retry_ns <= now_ns))
             return e->arrival;
     return 0;
 }
@@ -372,7 +375,8 @@ static void describe(const struct usb *u, const struct usb_entry *e, struct usb_
     *out = (struct usb_found){ .kind = e->ops->kind, .release = e->release, .in_use = e->used };
     memcpy(out->serial, e->serial, sizeof(out->serial));
     memcpy(out->path, e->path, sizeof(out->path));
-    snprintf(out->why, sizeof(out->why), "%s", e->read ? e->why : "its serial number is still being read");
+    out->reading = !e->read;
+    snprintf(out->why, sizeof(out->why), "%s", e->why);
     for (const struct usb_entry *o = u->entry; o; o = o->next)
         if (o != e && e->serial[0] && same_key(o, e->ops, e->serial))
             out->twice = true;
@@ -383,9 +387,9 @@ static int by_path(const void *a, const void *b)
     return strverscmp(((const struct usb_found *)a)->path, ((const struct usb_found *)b)->path);
 }
 
-unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max)
+unsigned usb_list(struct usb *u, struct usb_found *out, unsigned max, unsigned wait_ms)
 {
-    const uint64_t end = usb_now_ns() + 3000000000ull;
+    const uint64_t end = usb_now_ns() + wait_ms * 1000000ull;
     unsigned n = 0;
     pthread_mutex_lock(&u->lock);
     for (struct usb_entry *e = u->entry; e;)

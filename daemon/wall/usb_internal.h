@@ -26,7 +26,7 @@ struct usb_entry {
     const struct panel_ops *ops;
     uint16_t release;
     bool read;                   /* the serial was read, or cannot be */
-    bool locked;                 /* ... for want of permission: worth another look */
+    bool unopened;               /* ... for it could not be opened (permission, not there yet): worth another look */
     bool refused;                /* opened, and not fit for the wall that wants it */
     bool used;
     uint64_t retry_ns;           /* not before */
