@@ -17,7 +17,8 @@ PKGS_BUILD := gcc g++ pkg-config glslang-tools protobuf-c-compiler protobuf-comp
 	libyaml-dev libusb-1.0-0-dev
 PKGS_RUN := mesa-vulkan-drivers
 # umockdev: USB boards without hardware, for the unmodified daemon.
-PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev umockdev libumockdev-dev
+# systemd: what checks the units; dpkg-dev: make deb. Neither has to run this machine.
+PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev umockdev libumockdev-dev systemd dpkg-dev
 
 WARN := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wformat=2
 # Sanitized code is not fast anyway: build it quickly. gcc sees null pointers in what UBSan adds to sprintf.
@@ -41,7 +42,7 @@ LIBS_WALLDEF := -lyaml -lpng -lm
 ROOM_proto := $(wildcard proto/*.c)
 ROOM_exr := $(wildcard daemon/exr*.c) daemon/frame.c
 ROOM_engine := $(wildcard daemon/vk*.c daemon/bloom*.c daemon/kernel*.c daemon/look*.c) daemon/plan.c daemon/psf.c \
-	daemon/convolve.c daemon/fft.c daemon/crew.c
+	daemon/convolve.c daemon/fft.c daemon/crew.c daemon/pulse.c
 ROOM_params := $(wildcard daemon/params*.c)
 ROOM_server := $(filter-out daemon/main.c $(ROOM_exr) $(ROOM_engine) $(ROOM_params),$(wildcard daemon/*.c))
 # Of the wall, what is arithmetic on its definition: the airy command uses it, too.
@@ -58,7 +59,7 @@ Q := $(if $(V),,@)
 say = $(if $(V),,@echo "  $(1)")
 
 .DEFAULT_GOAL := help
-.PHONY: help all deps install clean format
+.PHONY: help all deps install deb clean format
 .DELETE_ON_ERROR:
 .SECONDARY:
 
@@ -70,6 +71,7 @@ help:
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
+	@echo "make deb      a Debian package of it -> build/airyd_VERSION_ARCH.deb"
 	@echo "make deps     install the Debian packages that are missing (root or sudo)"
 	@echo "make clean    remove build/"
 
@@ -143,32 +145,13 @@ $(BUILD)/airy.h: client/airy.h
 	@mkdir -p $(@D)
 	$(Q)cp $< $@
 
--include $(shell find $(BUILD) -name '*.d' 2>/dev/null)
+# A folder of a staged install may be called *.d, too.
+-include $(shell find $(BUILD) -name '*.d' -type f 2>/dev/null)
 
 include client/client.mk tests/tests.mk
 
-# ---- install ----------------------------------------------------------------------------------------
-PREFIX ?= /usr/local
-DESTDIR ?=
-install: all
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/lib $(DESTDIR)$(PREFIX)/include \
-	  $(DESTDIR)$(PREFIX)/share/man/man1 $(DESTDIR)$(PREFIX)/share/man/man5 \
-	  $(DESTDIR)$(PREFIX)/share/man/man7 $(DESTDIR)$(PREFIX)/share/man/man8 \
-	  $(DESTDIR)$(PREFIX)/share/doc/airyd $(DESTDIR)$(PREFIX)/lib/systemd/system \
-	  $(DESTDIR)$(PREFIX)/lib/udev/rules.d
-	install -m 755 $(BUILD)/airyd $(BUILD)/airy $(DESTDIR)$(PREFIX)/bin/
-	install -m 755 $(BUILD)/libairy.so $(DESTDIR)$(PREFIX)/lib/libairy.so.0
-	ln -sf libairy.so.0 $(DESTDIR)$(PREFIX)/lib/libairy.so
-	install -m 644 $(BUILD)/libairy.a $(DESTDIR)$(PREFIX)/lib/
-	install -m 644 client/airy.h $(DESTDIR)$(PREFIX)/include/
-	install -m 644 client/airy.1 client/airy-wall.1 $(DESTDIR)$(PREFIX)/share/man/man1/
-	install -m 644 client/airy-wall.5 $(DESTDIR)$(PREFIX)/share/man/man5/
-	install -m 644 proto/airy_proto.7 $(DESTDIR)$(PREFIX)/share/man/man7/
-	install -m 644 daemon/airyd.8 $(DESTDIR)$(PREFIX)/share/man/man8/
-	install -m 644 proto/PROTOCOL.md proto/airy.proto $(DESTDIR)$(PREFIX)/share/doc/airyd/
-	sed 's|/usr/local/bin|$(PREFIX)/bin|' systemd/airyd.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/airyd.service
-	install -m 644 systemd/airyd.socket $(DESTDIR)$(PREFIX)/lib/systemd/system/
-	install -m 644 systemd/70-airy-wall.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d/
+# ---- install, package ---------------------------------------------------------------------------------
+include systemd/install.mk
 
 clean:
 	rm -rf $(BUILD)

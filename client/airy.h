@@ -58,9 +58,9 @@ struct airy_error {
 /* ---- connection ------------------------------------------------------------------------------ */
 
 /* path NULL: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock: the
- * first that answers. Blocks for at most 5 s. */
+ * first that answers. Blocks for at most 30 s. */
 AIRY_API int airy_connect(struct airy **out, const char *path, struct airy_error *e);
-/* Takes over a connected stream socket (closed on failure, too). Blocks for at most 5 s. */
+/* Takes over a connected stream socket (closed on failure, too). Blocks for at most 30 s. */
 AIRY_API int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
 AIRY_API void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
 

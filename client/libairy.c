@@ -18,7 +18,8 @@
 #include <time.h>
 #include <unistd.h>
 
-enum { CONNECT_TIMEOUT_MS = 5000, READ_BYTES = 4 * 1024 * 1024 };
+// Long, for a daemon may be started by this very connection (socket activation), and tests its device before it says a word.
+enum { CONNECT_TIMEOUT_MS = 30000, READ_BYTES = 4 * 1024 * 1024 };
 
 // ---- errors and time ---------------------------------------------------------------------------
 

@@ -3,6 +3,8 @@
 // turn, under the lock; so helpers read them without it once they have seen the turn.
 #include "crew.h"
 
+#include "pulse.h"
+
 #include <errno.h>
 #include <pthread.h>
 #include <stdatomic.h>
@@ -35,6 +37,7 @@ static void work(struct crew *c, unsigned member)
         if (task >= c->count)
             return;
         c->fn(c->ctx, task, member);
+        pulse_beat();
     }
 }
 

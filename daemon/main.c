@@ -290,7 +290,7 @@ static int run(const struct options *o)
              listener.path[0] ? listener.path : "systemd's socket", d->name, d->driver, config.sched.threads,
              config.sched.slots);
     say(line);
-    sd_notify(0, "READY=1");
+    sd_notifyf(0, "READY=1\nSTATUS=%s", line);
     int status = server_run(server);
     unsigned messages = server_validation_messages(server);
     server_destroy(server);

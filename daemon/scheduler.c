@@ -471,6 +471,17 @@ struct sched_counts sched_counts(struct sched *s)
     return c;
 }
 
+uint64_t sched_device_since_ns(struct sched *s)
+{
+    uint64_t longest = 0;
+    for (unsigned i = 0; i < LANES; i++) {
+        uint64_t since = pulse_since_ns(&s->lane[i].pulse);
+        if (since && (!longest || since < longest))
+            longest = since;
+    }
+    return longest;
+}
+
 const struct bloom_device_info *sched_device(struct sched *s) { return &s->device_info; }
 
 // The threads are stopped first: the device may be asked by one thread at a time.

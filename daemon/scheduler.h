@@ -71,5 +71,8 @@ struct sched_counts {
     bool device_dead; /* that of frames, lost, and could not be had again: nothing more will be bloomed */
 };
 struct sched_counts sched_counts(struct sched *s);
+/* clock_ns() of the last progress (pulse.h) of the device thread that has gone longest without; 0 when none has anything to
+ * do. Takes no lock: a device thread that hangs with it must not hang who asks. */
+uint64_t sched_device_since_ns(struct sched *s);
 
 #endif

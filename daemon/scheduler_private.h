@@ -8,6 +8,7 @@
 
 #include <pthread.h>
 
+#include "pulse.h"
 #include "scheduler.h"
 
 struct sched_user {
@@ -51,6 +52,7 @@ struct sched_lane {
     unsigned slots;
     struct sched_slot slot[SCHED_SLOTS_MAX];
     struct bloom *bloom;                /* the device thread's, once it runs */
+    struct pulse pulse;                 /* the device thread's */
     bool warming;                       /* pipelines are left that have not drawn */
     unsigned validation_messages;
     pthread_cond_t device_wake, quiet;

@@ -97,11 +97,13 @@ static void device_replace(struct sched_lane *l, const struct fault *f)
     while (l->claimed)
         pthread_cond_wait(&l->quiet, &s->lock);
     pthread_mutex_unlock(&s->lock);
+    pulse_begin(&l->pulse);
     unsigned messages = bloom_validation_messages(l->bloom);
     bloom_destroy(l->bloom);
     l->bloom = NULL;
     struct fault again = { .code = FAULT_NONE };
     int rc = open_device(l, &again);
+    pulse_end();
     if (rc < 0) {
         snprintf(line, sizeof line, "the device cannot be opened again: %s", again.text);
         say(s, line);
@@ -121,7 +123,9 @@ static void warm_step(struct sched_lane *l)
     struct sched *s = l->sched;
     struct fault f;
     pthread_mutex_unlock(&s->lock);
+    pulse_begin(&l->pulse);
     bool more = bloom_warm_next(l->bloom, &f);
+    pulse_end();
     pthread_mutex_lock(&s->lock);
     l->warming = more;
     if (f.code == FAULT_DEVICE_LOST) {
@@ -151,7 +155,9 @@ static void device_run(struct sched_lane *l)
         }
         pthread_mutex_unlock(&s->lock);
         struct fault f = { .code = FAULT_NONE };
+        pulse_begin(&l->pulse);
         int rc = device_task(l, j, &f);
+        pulse_end();
         pthread_mutex_lock(&s->lock);
         // A plan touches no device; one that says so all the same has no slot to start again from.
         if (rc < 0 && f.code == FAULT_DEVICE_LOST && l->bloom && j->slot) {
@@ -180,7 +186,9 @@ static void *wall_device_main(void *arg)
     struct sched_lane *l = arg;
     struct fault f = { .code = FAULT_NONE };
     prompt_me(0); // and the driver's threads, which it starts
+    pulse_begin(&l->pulse);
     int rc = open_device(l, &f);
+    pulse_end();
     pthread_mutex_lock(&l->sched->lock);
     if (rc < 0) {
         char line[400];

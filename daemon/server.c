@@ -6,6 +6,7 @@
 
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdio.h>
@@ -17,7 +18,7 @@
 #include <systemd/sd-daemon.h>
 #include <unistd.h>
 
-enum { TICK_MS = 250, ACCEPT_ONCE = 64, EVENTS_ONCE = 64, EXIT_DEVICE_LOST = 3 };
+enum { TICK_MS = 250, ACCEPT_ONCE = 64, EVENTS_ONCE = 64, FEEDS = 4, EXIT_DEVICE_LOST = 3 };
 
 enum watch_kind { WATCH_LISTEN, WATCH_CLIENT, WATCH_SIGNAL, WATCH_SCHED, WATCH_LIFETIME };
 
@@ -39,6 +40,8 @@ struct server {
     unsigned max_clients;
     struct watch_list clients, dead;
     uint64_t tick_ns;
+    uint64_t watchdog_ns, fed_ns; // watchdog_ns: what systemd grants; 0: nobody watches
+    bool stuck;
     int exit_status;
     void (*log)(const char *line);
 };
@@ -173,12 +176,24 @@ static void drain(struct server *s, const char *why)
     each_client(s, client_drain);
 }
 
+// Nothing is read again, for nothing is kept in a file of ours; whoever waits for the end of it is told.
+static void reload(struct server *s)
+{
+    if (s->host.draining)
+        return;
+    sd_notifyf(0, "RELOADING=1\nMONOTONIC_USEC=%llu", (unsigned long long)(clock_ns() / 1000));
+    s->log("SIGHUP: there is nothing to read again");
+    sd_notify(0, "READY=1");
+}
+
 static void on_signal(struct server *s)
 {
     struct signalfd_siginfo info;
     while (read(s->signals.fd, &info, sizeof info) == sizeof info) {
-        if (info.ssi_signo == SIGHUP)
-            continue; // nothing to read again yet
+        if (info.ssi_signo == SIGHUP) {
+            reload(s);
+            continue;
+        }
         if (s->host.draining) {
             s->log("second signal: exiting at once");
             _exit(EXIT_FAILURE);
@@ -268,12 +283,40 @@ static void handle(struct server *s, struct watch *w, uint32_t events)
     }
 }
 
+// This loop would feed the watchdog for ever while a driver hangs: it does so only while the device makes progress, or has
+// nothing to do. A device that has a step longer than WatchdogSec= is given up at once, not another WatchdogSec= later.
+static void watchdog_feed(struct server *s)
+{
+    uint64_t now = clock_ns();
+    if (!s->watchdog_ns || (s->fed_ns && now - s->fed_ns < s->watchdog_ns / FEEDS))
+        return;
+    s->fed_ns = now;
+    uint64_t since = sched_device_since_ns(s->host.sched);
+    bool stuck = since && now > since && now - since > s->watchdog_ns;
+    if (stuck && !s->stuck) {
+        char line[160];
+        snprintf(line, sizeof line, "the device has made no progress for %.1f s, the watchdog grants %.1f s: giving up",
+                 (double)(now - since) / 1e9, (double)s->watchdog_ns / 1e9);
+        s->log(line);
+    }
+    s->stuck = stuck;
+    sd_notify(0, stuck ? "WATCHDOG=trigger" : "WATCHDOG=1");
+}
+
+static int wait_ms(const struct server *s)
+{
+    if (!TAILQ_EMPTY(&s->clients) || (!s->accepting && !s->host.draining))
+        return TICK_MS;
+    uint64_t ms = s->watchdog_ns / FEEDS / 1000000 + 1;
+    return !s->watchdog_ns ? -1 : ms > INT_MAX ? INT_MAX : (int)ms;
+}
+
 int server_run(struct server *s)
 {
     while (!drained(s)) {
-        bool timed = !TAILQ_EMPTY(&s->clients) || (!s->accepting && !s->host.draining);
+        watchdog_feed(s);
         struct epoll_event events[EVENTS_ONCE];
-        int n = epoll_wait(s->epoll_fd, events, EVENTS_ONCE, timed ? TICK_MS : -1);
+        int n = epoll_wait(s->epoll_fd, events, EVENTS_ONCE, wait_ms(s));
         if (n < 0 && errno != EINTR) {
             s->log("epoll_wait failed");
             return EXIT_FAILURE;
@@ -359,6 +402,17 @@ static int open_walls(struct server *s, const struct server_config *config, stru
     return config->n_walls ? sched_open_walls(s->host.sched, f) : 0;
 }
 
+// systemd's WatchdogSec=; without it, or meant for another process, nothing is fed.
+static int open_watchdog(struct server *s, struct fault *f)
+{
+    uint64_t us = 0;
+    int rc = sd_watchdog_enabled(0, &us);
+    if (rc < 0)
+        return fault_set(f, FAULT_INTERNAL, "WATCHDOG_USEC", "\"%.40s\"; expected microseconds", getenv("WATCHDOG_USEC"));
+    s->watchdog_ns = rc && us < UINT64_MAX / 1000 ? us * 1000 : 0;
+    return 0;
+}
+
 int server_create(struct server **out, const struct server_config *config, struct listener *l, struct fault *f)
 {
     struct server *s = calloc(1, sizeof *s);
@@ -373,7 +427,7 @@ int server_create(struct server **out, const struct server_config *config, struc
     TAILQ_INIT(&s->dead);
     block_pool_init(&s->host.blocks, config->idle_bytes_max);
     asset_cache_init(&s->host.assets, config->asset_bytes_max);
-    if (open_signals(s, f) < 0 || walls_create(&s->host.walls, &s->host.assets, config->log, f) < 0 ||
+    if (open_watchdog(s, f) < 0 || open_signals(s, f) < 0 || walls_create(&s->host.walls, &s->host.assets, config->log, f) < 0 ||
         sched_create(&s->host.sched, &config->sched, f) < 0)
         goto fail;
     host_init(s, config);

@@ -2,6 +2,8 @@
 // vk_pass.c - recording: barriers from what images remember, full-screen passes, submit and wait.
 #include "vk.h"
 
+#include "pulse.h"
+
 #include <assert.h>
 
 int vk_commands_create(struct vk *v, struct vk_commands *c, bool profile, struct fault *f)
@@ -172,6 +174,8 @@ int vk_submit_and_wait(struct vk_commands *c, struct fault *f)
         .pValues = &value,
     };
     r = vkWaitSemaphores(v->device, &wait, VK_WAIT_S * UINT64_C(1000000000));
+    // A wait that ran out is progress as well: it has an end, and what follows is a new device.
+    pulse_beat();
     if (r == VK_TIMEOUT)
         return fault_set(f, FAULT_DEVICE_LOST, "", "the device did not finish a frame within %d s",
                          VK_WAIT_S);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // test_sched.c - the scheduler with its real threads and the real device: turns, cancelling, and a device that
-// is lost. A lost device cannot be had on command, so bloom_run and bloom_create are wrapped by the
+// is lost or hangs. That cannot be had on command, so bloom_run and bloom_create are wrapped by the
 // linker (-Wl,--wrap): they do the real thing but where the test says "lost".
 #include <poll.h>
 #include <setjmp.h>
@@ -12,11 +12,13 @@
 
 #include <cmocka.h>
 
+#include "pulse.h"
 #include "scheduler.h"
 
 static _Atomic int runs, lose_at, lose_until; // runs number lose_at .. lose_until - 1 lose the device
 static _Atomic int creates, creates_allowed;
 static _Thread_local int creating; // the self-test's runs are not counted
+static _Atomic int hang, hung, beats;   // hang: runs stand still; in them, one of `beats` is a step that came back
 
 int __real_bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struct bloom_request *request,
                      struct bloom_reply *reply, struct fault *f);
@@ -26,6 +28,14 @@ int __wrap_bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, con
                      struct bloom_reply *reply, struct fault *f)
 {
     int n = creating ? -1 : runs++;
+    while (hang && !creating) {
+        hung = 1;
+        if (beats > 0) {
+            pulse_beat();
+            beats--;
+        }
+        poll(NULL, 0, 1);
+    }
     if (n >= lose_at && n < lose_until)
         return fault_set(f, FAULT_DEVICE_LOST, "", "lost by the test");
     return __real_bloom_run(b, s, target, request, reply, f);
@@ -195,6 +205,52 @@ static void test_device_dead(void **state)
     close_world(&w);
 }
 
+static void wait_until(const _Atomic int *what, int value, const char *name)
+{
+    for (int i = 0; i < 60000 && *what != value; i++)
+        poll(NULL, 0, 1);
+    if (*what != value)
+        fail_msg("%s is %d, not %d, after a minute", name, *what, value);
+}
+
+// What the watchdog is fed by: the time of the last progress stands still while the device hangs, moves with every step that comes
+// back, and is nothing while there is nothing to do.
+static void test_device_hangs(void **state)
+{
+    (void)state;
+    struct world w;
+    open_world(&w, 2, 0, 0, 1);
+    assert_true(sched_device_since_ns(w.sched) == 0);
+    uint64_t before = clock_ns();
+    hung = 0;
+    hang = 1;
+    sched_submit(w.sched, &w.flow[0], make_job(&w, 1));
+    sched_submit(w.sched, &w.flow[2], make_job(&w, 2));
+    wait_until(&hung, 1, "hung");
+    uint64_t since = sched_device_since_ns(w.sched);
+    assert_true(since >= before && since <= clock_ns());
+    poll(NULL, 0, 50);
+    assert_true(sched_device_since_ns(w.sched) == since); // a job that waits behind it is no progress
+    for (int i = 0; i < 3; i++) {
+        beats = 1;
+        wait_until(&beats, 0, "beats");
+        uint64_t next = sched_device_since_ns(w.sched);
+        assert_true(next > since);
+        since = next;
+    }
+    hang = 0;
+    for (int i = 0; i < 2; i++) {
+        struct job *j = next_done(&w);
+        assert_int_equal(j->fault.code, FAULT_NONE);
+        job_destroy(j);
+    }
+    // The device thread ends its step after the job has gone on.
+    for (int i = 0; i < 60000 && sched_device_since_ns(w.sched); i++)
+        poll(NULL, 0, 1);
+    assert_true(sched_device_since_ns(w.sched) == 0);
+    close_world(&w);
+}
+
 // Jobs that come while other pipelines are drawn with get the same pixels; a device that is lost over it is
 // opened again, and all are drawn with in the end.
 static void test_warm_when_idle(void **state)
@@ -309,6 +365,7 @@ int main(void)
         cmocka_unit_test(test_device_lost_once),
         cmocka_unit_test(test_device_lost_again),
         cmocka_unit_test(test_device_dead),
+        cmocka_unit_test(test_device_hangs),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
