@@ -11,10 +11,10 @@ if (!output) {
 }
 const params = Object.fromEntries(settings.map((s) => s.split(/=(.*)/s).slice(0, 2)));
 
+let airy;
 try {
-  const airy = await connect({ reconnect: true });
+  airy = await connect({ reconnect: true });
   const result = await airy.bloom(await readFile(input), params);
-  airy.close();
   // Whole or absent, also when this program is stopped meanwhile.
   await writeFile(`${output}.part`, result.output);
   await rename(`${output}.part`, output);
@@ -24,4 +24,6 @@ try {
 } catch (error) {
   console.error(`bloom-frame: ${error.message}`);
   process.exitCode = error.retryable ? 75 : 1; // EX_TEMPFAIL: a farm may try again
+} finally {
+  airy?.close();
 }

@@ -107,11 +107,6 @@ export class Airy {
     this.#connection.close();
   }
 
-  [Symbol.asyncDispose ?? Symbol.for('nodejs.asyncDispose')]() {
-    this.close();
-    return Promise.resolve();
-  }
-
   async #ask(signal, send) {
     const { reconnect, busyRetries } = this.#options;
     for (let busy = 0, lost = 0; ;) {

@@ -176,7 +176,7 @@ export class Connection {
     while (this.#waiting.length && !this.#lost) {
       const request = this.#waiting[0];
       if (request.size > this.#credit || this.#open.size >= this.#welcome.limits.maxRequests)
-        return;
+        break;
       this.#waiting.shift();
       request.id = this.#nextId++;
       this.#credit -= request.size;
