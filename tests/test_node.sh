@@ -53,22 +53,25 @@ generated() { # twice the same, and nothing of it by hand
     rm -rf "$BUILD/node-again"
     return $status
 }
-# The names that npm would pack, and the program of a user who has installed them.
+# What npm packs is unpacked where a user would have it, and used there.
 packed() {
-    local work user
+    local work user f status=1
     work=$(mktemp -d "${TMPDIR:-/tmp}/airy-npm-XXXXXX")
     user=$work/user/node_modules/@airyd/client
     mkdir -p "$user"
     npm_config_cache=$work/cache npm_config_offline=true npm pack "./$package" --ignore-scripts --silent --pack-destination "$work" &&
-        tar -xzf "$work"/airyd-client-*.tgz -C "$user" --strip-components=1 &&
-        for f in lib/index.js lib/index.d.ts gen/contract.js gen/messages.d.ts gen/airy.proto examples/bloom-frame.mjs README.md; do
-            [ -f "$user/$f" ] || { echo "$f is not packed"; false; } || break
-        done && ! [ -e "$user/test" ] &&
-        (cd "$work/user" && "$NODE" --input-type=module -e "import { connect } from '@airyd/client';
-            await connect({ path: '/nowhere' }).catch((e) => { if (e.symbol !== 'CONNECT') throw e; });")
-    local status=$?
+        tar -xzf "$work"/airyd-client-*.tgz -C "$user" --strip-components=1 && whole "$user" && status=0
     rm -rf "$work"
     return $status
+}
+whole() { # folder
+    local f
+    for f in lib/index.js lib/index.d.ts gen/contract.js gen/messages.d.ts gen/airy.proto examples/bloom-frame.mjs README.md; do
+        [ -f "$1/$f" ] || { echo "$f is not packed"; return 1; }
+    done
+    [ ! -e "$1/test" ] || { echo "the tests are packed"; return 1; }
+    (cd "$1/../../.." && "$NODE" --input-type=module -e "import { connect } from '@airyd/client';
+        await connect({ path: '/nowhere' }).then(() => { throw new Error('connected'); }, (e) => { if (e.symbol !== 'CONNECT') throw e; });")
 }
 types_of() { # the folder with @types/node
     local d

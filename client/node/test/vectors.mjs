@@ -97,7 +97,7 @@ export async function vectors() {
     let state = seed >>> 0, refused = 0;
     const random = (n) => { state = (Math.imul(state, 1664525) + 1013904223) >>> 0; return Math.floor(state / 2 ** 32 * n); };
     const bodies = all.filter((x) => !x.error && x.body && schema.messages[bodyName(x.header.type)]);
-    for (let i = 0; i < 20_000; i++) {
+    for (let i = 0; i < 8000; i++) {
       const v = bodies[random(bodies.length)], body = Buffer.from(Buffer.from(v.hex, 'hex').subarray(24));
       for (let k = random(3) + 1; k; k--)
         if (body.length)
@@ -109,7 +109,7 @@ export async function vectors() {
         refused++;
       }
     }
-    assert.ok(refused > 1000 && refused < 19_000, `${refused} of 20000 were refused`);
+    assert.ok(refused > 500 && refused < 7500, `${refused} of 8000 were refused`);
   });
   await check('a body of ten thousand empty sub-messages is refused before they are made', async () => {
     const bomb = Buffer.alloc(20_000, Buffer.from([0x12, 0x00]));
