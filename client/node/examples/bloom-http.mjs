@@ -24,7 +24,7 @@ async function read(request) {
   return body;
 }
 
-const statusOf = (error) => error.status ?? (error.retryable ? 503 : error.origin === 'daemon' ? 422 : 500);
+const statusOf = (error) => error.status ?? (error.retryable ? 503 : error.symbol ? 422 : 500);
 
 createServer(async (request, response) => {
   const gone = new AbortController();

@@ -20,6 +20,17 @@ async function pause(ms, signal) {
   }
 }
 
+// `promise`, or the signal's end if that comes first.
+function orAborted(promise, signal) {
+  if (!signal)
+    return promise;
+  return new Promise((resolve, reject) => {
+    const stop = () => reject(new AiryAbortError(signal.reason));
+    signal.addEventListener('abort', stop, { once: true });
+    promise.then(resolve, reject).finally(() => signal.removeEventListener('abort', stop));
+  });
+}
+
 function socketPaths(path) {
   if (path)
     return [path];
@@ -135,7 +146,7 @@ export class Airy {
     if (this.#connection.alive || !this.#options.reconnect)
       return this.#connection;
     this.#opening ??= this.#reopen().finally(() => { this.#opening = null; });
-    await this.#opening;
+    await orAborted(this.#opening, signal);
     return this.#live(signal);
   }
 

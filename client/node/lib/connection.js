@@ -293,6 +293,9 @@ export class Connection {
       case 'ASSET_KEPT': return this.#onEnd(h, body, request);
       case 'CANCELLED':
         this.#open.delete(h.id);
+        return;
+      default: // the contract knows it, and this client has not asked for it
+        this.#refuse(h, ' here');
     }
   }
 

@@ -125,6 +125,28 @@ async function behaviour() {
     assert.equal(result.output.toString(), 'one two');
     assert.deepEqual([result.notes, result.bound], [['a', 'b'], 3]);
   });
+  // PROGRESS may be left out by a real daemon: this one sends it.
+  await check('a callback that throws ends its own request, by CANCEL', async () => {
+    const why = new Error('mine'), seen = [];
+    const daemon = await falseDaemon(async (peer) => {
+      for (let m; (m = await peer.next());) {
+        seen.push(m.type);
+        if (m.type === 'DATA')
+          peer.send('PROGRESS', m.id, { stage: 'bloom', fraction: 0.5 });
+        else if (m.type === 'CANCEL')
+          peer.send('CANCELLED', m.id);
+        else if (m.type === 'STATUS')
+          peer.send('STATUS_REPLY', m.id, {});
+      }
+    });
+    const airy = await connect({ path: daemon.path });
+    await assert.rejects(airy.bloom(FRAME, {}, { onProgress: () => { throw why; } }), why);
+    await airy.status();
+    assert.equal(airy.pending, 0);
+    assert.deepEqual(seen, ['BLOOM', 'DATA', 'CANCEL', 'STATUS']);
+    airy.close();
+    daemon.close();
+  });
   const busy = { code: 400, symbol: 'BUSY', text: 'later', retryable: true, retryAfterMs: 1 };
   await check('BUSY is asked again, so often as allowed and no more', async () => {
     for (const [retries, refusals] of [[5, 3], [2, 99], [0, 99]]) {

@@ -161,11 +161,6 @@ async function inFlight(daemon) {
     assert.ok(ends.includes('CANCELLED'));
     await until(() => airy.pending === 0, 'all have ended');
   });
-  await check('a callback that throws ends its own request', async () => {
-    const why = new Error('mine');
-    await assert.rejects(airy.bloom(bytes, FAST, { onProgress: () => { throw why; } }), why);
-    assert.ok((await airy.bloom(bytes, FAST)).output.length > 0);
-  });
   await check('into a slow Writable: it gets the bytes, never more than it can hold, and the daemon waits', async () => {
     const part = big.subarray(0, 3840 * 400 * 3), layout = { width: 3840, height: 400 };
     const right = digest((await airy.bloom(part, FAST, { raw: layout })).output);
@@ -249,6 +244,19 @@ async function lost() {
       airy.close();
       await stopDaemon(daemon);
     });
+  await check('a request that waits for a daemon to come back ends with its signal', async () => {
+    const daemon = await startDaemon(OPTIONS), stop = new AbortController();
+    const airy = await connect({ path: daemon.path, reconnect: { attempts: 3, delayMs: 300 } });
+    await stopDaemon(daemon, 'SIGKILL');
+    const given = airy.bloom(bytes, FAST, { signal: stop.signal }), waiting = airy.bloom(bytes, FAST);
+    let settled = false;
+    waiting.catch(() => { settled = true; });
+    setTimeout(() => stop.abort(), 20);
+    await rejects(given, { symbol: 'CANCELLED' });
+    assert.equal(settled, false);
+    await rejects(waiting, { symbol: 'CONNECT', retryable: true });
+    airy.close();
+  });
   await check('no daemon: the error names what was tried', async () => {
     const path = socketPath();
     const error = await rejects(connect({ path }), { symbol: 'CONNECT', code: 0, field: 'socket', retryable: true });
