@@ -1,0 +1,42 @@
+// SPDX-License-Identifier: Apache-2.0
+// types.ts - what a user writes, for the type checker: what must be accepted, and what must not. Never run.
+import type { Writable } from 'node:stream';
+import { Airy, AiryAbortError, AiryError, connect, type Params, type Result } from '../lib/index.js';
+
+export async function accepted(into: Writable): Promise<void> {
+  const airy: Airy = await connect({ path: '/run/airyd/airyd.sock', reconnect: { attempts: 3 }, busyRetries: 2 });
+  const params: Params = { threshold: 1.5, psf: 'eye', look: 'jimenez', stages: 6, exposure: 'auto' };
+  const exr: Result<Buffer> = await airy.bloom(Buffer.alloc(1), params, { exr: { part: '0', pixels: 'half' } });
+  const floats = await airy.bloom(new Float32Array(12), {}, { raw: { width: 2, height: 2, channels: 'RGB' } });
+  const first: number = floats.output[0]!;
+  const halves: Uint16Array = (await airy.bloom(new Uint16Array(12), {}, { raw: { width: 2, height: 2 } })).output;
+  const nothing: null = (await airy.bloom(Buffer.alloc(1), {}, { into, signal: AbortSignal.timeout(5) })).output;
+  const bound: number = (await airy.plan(Buffer.alloc(1))).bound;
+  const done: bigint = (await airy.status()).done;
+  const digest: string = (await airy.asset(new ArrayBuffer(4))).digest;
+  const nan: bigint | undefined = exr.targets[0]?.nonfinite?.nan;
+  airy.stream(params, { highWaterMark: 2, onError: (error, index) => console.log(error.symbol, index) }).pipe(into);
+  console.log(first, halves, nothing, bound, done, digest, nan, exr.ms?.total);
+  try {
+    airy.close();
+  } catch (error) {
+    if (error instanceof AiryError && error.symbol === 'PARAM_RANGE')
+      console.log(error.field, error.retryable);
+    if (error instanceof AiryAbortError)
+      console.log(error.cause);
+  }
+}
+
+export async function refused(airy: Airy): Promise<void> {
+  // @ts-expect-error no such parameter
+  await airy.bloom(Buffer.alloc(1), { thresold: 1 });
+  // @ts-expect-error no such look
+  await airy.bloom(Buffer.alloc(1), { look: 'nice' });
+  // @ts-expect-error a path is no frame
+  await airy.bloom('frame.exr');
+  // @ts-expect-error counters are bigint
+  const done: number = (await airy.status()).done;
+  // @ts-expect-error made by connect() only
+  new Airy();
+  console.log(done);
+}
