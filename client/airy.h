@@ -316,7 +316,8 @@ struct airy_wall_reply {      /* owns all that it points to */
 
 /* Asks, and waits for the answer beside whatever is in flight; requests that end meanwhile are had by the waits as always. It costs
  * no credit. *out is the caller's to free. timeout_ms -1: for ever. A time-out is a failure (-ETIMEDOUT): what was asked may
- * still be done. A daemon without walls: -ENOTSUP. */
+ * still be done. A daemon without walls: -ENOTSUP. While
+ * another wall is being closed (BUSY, a second at most) it asks again by itself. */
 AIRY_API int airy_wall(struct airy *a, const struct airy_wall_request *q, int timeout_ms, struct airy_wall_reply **out,
                        struct airy_error *e);
 AIRY_API void airy_wall_reply_free(struct airy_wall_reply *r); /* NULL is fine */

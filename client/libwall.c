@@ -10,8 +10,10 @@
 #include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 enum { PREVIEW_BYTES_MAX = 3 << 20 }; // a wall has at most 1 << 20 pixels
+enum { BUSY_TRIES = 40, BUSY_MS_MAX = 500 }; // a wall that is being closed is gone in a second
 
 struct airy_wall_reply_private {
     struct body_arena arena; // texts and lists
@@ -272,10 +274,9 @@ static int wall_allowed(struct airy *a, const struct airy_wall_request *q, struc
     return 0;
 }
 
-int airy_wall(struct airy *a, const struct airy_wall_request *q, int timeout_ms, struct airy_wall_reply **out,
-              struct airy_error *e)
+static int ask_once(struct airy *a, const struct airy_wall_request *q, int64_t deadline_ms, int timeout_ms,
+                    struct airy_wall_reply **out, struct airy_error *e)
 {
-    int64_t deadline_ms = lib_deadline_ms(timeout_ms);
     struct wall_wait w = { .id = a->next_id, .preview = q->action == AIRY_WALL_PREVIEW };
     if (wall_allowed(a, q, e) < 0 || wall_send(a, q, w.id, e) < 0)
         return -1;
@@ -297,4 +298,19 @@ int airy_wall(struct airy *a, const struct airy_wall_request *q, int timeout_ms,
     }
     a->given_up[a->n_given_up++] = w.id;
     return lib_fail(e, ETIMEDOUT, "", "the daemon did not answer about walls in %d ms", timeout_ms);
+}
+
+int airy_wall(struct airy *a, const struct airy_wall_request *q, int timeout_ms, struct airy_wall_reply **out,
+              struct airy_error *e)
+{
+    const int64_t deadline_ms = lib_deadline_ms(timeout_ms);
+    struct airy_error own;
+    e = e ? e : &own;
+    for (int i = 0;; i++) {
+        if (ask_once(a, q, deadline_ms, timeout_ms, out, e) == 0)
+            return 0;
+        if (e->code != FAULT_BUSY || i == BUSY_TRIES || e->retry_after_ms > BUSY_MS_MAX)
+            return -1;
+        nanosleep(&(struct timespec){ .tv_nsec = (long)e->retry_after_ms * 1000000 }, NULL);
+    }
 }

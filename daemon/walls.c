@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { CLAIM_MAX_S = 2 };
+enum { CLAIM_MAX_S = 2, CLOSING_MS = 100 };
 
 TAILQ_HEAD(wall_list, wall_ref);
 
@@ -15,7 +15,7 @@ struct walls {
     pthread_mutex_t lock;
     pthread_cond_t wake;
     struct wall_list open, closing; /* closing: without references, to be destroyed */
-    unsigned count;
+    unsigned count; // open, or not yet closed
     uint64_t gain_ids;
     struct asset_cache *assets;
     struct usb *usb;
@@ -123,12 +123,22 @@ static int room_check(struct walls *w, const char *name, struct fault *f)
 {
     pthread_mutex_lock(&w->lock);
     const bool there = find(w, name) != NULL;
-    const unsigned count = w->count;
+    unsigned open = 0;
+    struct wall_ref *r;
+    TAILQ_FOREACH(r, &w->open, link)
+    open++;
+    const bool closing = w->count > open;
     pthread_mutex_unlock(&w->lock);
+    // Its boards, and its name in the figures, may be wanted again.
+    if (closing) {
+        fault_set(f, FAULT_BUSY, "wall", "a wall is being closed, which takes a second at most; try again");
+        f->retry_after_ms = CLOSING_MS;
+        return -1;
+    }
     if (there)
         return fault_set(f, FAULT_WALL, "wall", "a wall \"%.64s\" is open; close it first", name);
-    if (count >= WALLS_MAX)
-        return fault_set(f, FAULT_LIMIT, "wall", "%u walls are open; at most %d are driven", count, WALLS_MAX);
+    if (open >= WALLS_MAX)
+        return fault_set(f, FAULT_LIMIT, "wall", "%u walls are open; at most %d are driven", open, WALLS_MAX);
     return 0;
 }
 

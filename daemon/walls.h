@@ -58,7 +58,8 @@ int walls_create(struct walls **out, struct asset_cache *assets, void (*log)(con
 void walls_destroy(struct walls *w);
 
 /* A definition (text) becomes an open wall: *out is its table's, without a reference for the caller. gains: the image that the definition
- * names, or NULL; a reference of it is taken. A wall that is open by the same name is an error, as is one more than WALLS_MAX. */
+ * names, or NULL; a reference of it is taken. A wall that is open by the same name is an error, as is one more than WALLS_MAX; BUSY
+ * while another is being closed. */
 int walls_open(struct walls *w, const char *text, size_t bytes, struct asset *gains, const void *owner,
                struct wall_ref **out, struct fault *f);
 /* With a reference; NULL and *f (NO_WALL, naming those that are open). */
