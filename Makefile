@@ -68,6 +68,7 @@ help:
 	@echo "make check    build and pass the tests (installs what is missing, 10 to 20 minutes)"
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
+	@echo "make bench-wall  a wall's picture, pass by pass;  make bench-usb  ten emulated controllers, SECONDS=60 each"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
