@@ -71,11 +71,35 @@ static size_t pack(const ProtobufCMessage *m, uint8_t **out)
     return bytes;
 }
 
-static void check_packed(const ProtobufCMessageDescriptor *d, const ProtobufCMessage *m)
+/* The library keeps unknown fields, also of the number 0, which it then does not read. Nobody here sends them on. */
+static void forget_unknown(ProtobufCMessage *m)
+{
+    m->n_unknown_fields = 0;
+    for (unsigned i = 0; i < m->descriptor->n_fields; i++) {
+        const ProtobufCFieldDescriptor *d = &m->descriptor->fields[i];
+        const uint8_t *base = (const uint8_t *)m;
+        void *at = (uint8_t *)m + d->offset;
+        if (d->type != PROTOBUF_C_TYPE_MESSAGE)
+            continue;
+        if (d->label == PROTOBUF_C_LABEL_REPEATED) {
+            ProtobufCMessage **list = *(ProtobufCMessage ***)at;
+            for (size_t k = 0; k < *(const size_t *)(const void *)(base + d->quantifier_offset); k++)
+                forget_unknown(list[k]);
+            continue;
+        }
+        const bool other = d->flags & PROTOBUF_C_FIELD_FLAG_ONEOF &&
+                           *(const uint32_t *)(const void *)(base + d->quantifier_offset) != d->id;
+        if (!other && *(ProtobufCMessage **)at)
+            forget_unknown(*(ProtobufCMessage **)at);
+    }
+}
+
+static void check_packed(const ProtobufCMessageDescriptor *d, ProtobufCMessage *m)
 {
     static struct body_arena other;
     struct fault f = { .code = FAULT_NONE };
     uint8_t *once, *twice;
+    forget_unknown(m);
     const size_t bytes = pack(m, &once);
     const ProtobufCMessage *again = body_unpack(d, once, bytes, &other, &f);
     must(again);

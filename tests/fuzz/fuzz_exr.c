@@ -68,7 +68,8 @@ static void read_ways(struct exr_run *r, const uint8_t way[FUZZ_EXR_BYTES])
     r->grow = way[7] < 128 ? 0 : way[7] % (GROW_MAX + 1);
 }
 
-// What was written, read by the same selection and written again untouched.
+// What was written, read by the same selection and written again untouched. Chunks that got extra layers are coded anew: a
+// codec that loses then says so in a note.
 static void check_output(const struct exr_run *first, uint64_t hash)
 {
     static const struct exr_limits wider = { SIDE_MAX + 2 * GROW_MAX, SIDE_MAX + 2 * GROW_MAX, 1 << 20, UINT64_C(1) << 32 };
@@ -84,7 +85,7 @@ static void check_output(const struct exr_run *first, uint64_t hash)
     }
     must(r.targets == first->targets && r.counts.chunks_copied == r.counts.chunks);
     const bool same = !first->edit && !first->grow && !first->float_out && first->options.compression == EXR_KEEP &&
-                      first->options.pixels == EXR_PIXELS_KEEP;
+                      first->options.pixels == EXR_PIXELS_KEEP && !strstr(first->notes, "lossy");
     must(!same || again == hash);
     exr_run_finish(&r);
 }

@@ -10,7 +10,19 @@
 #include "frames.h"
 #include "fuzz.h"
 
-enum { LIST_CHECKED_MAX = 2000 };
+enum { LIST_CHECKED_MAX = 2000, DIGITS_MAX = 4, DIGITS_FAR = 9 };
+
+// Sorting a million frames takes a second here: numbers are near each other, or so far apart that they are too many.
+static bool is_quick(const char *range)
+{
+    for (const char *s = range; *s; s++) {
+        const size_t digits = strspn(s, "0123456789");
+        if (digits > DIGITS_MAX && (digits < DIGITS_FAR || strchr(range, 'x')))
+            return false;
+        s += digits ? digits - 1 : 0;
+    }
+    return true;
+}
 
 static int by_number(const void *a, const void *b)
 {
@@ -82,6 +94,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     int64_t frame = 0;
     if (pattern)
         *pattern++ = '\0';
+    if (!is_quick(range)) {
+        free(range);
+        return 0;
+    }
     if (frames_parse(&l, range, why) < 0) {
         must(!l.frame && *why && memchr(why, '\0', sizeof(why)));
     } else {

@@ -211,14 +211,20 @@ static const uint8_t *next_message(const struct seed *s, size_t *at, size_t *n)
 /* The call of fuzz_libairy that makes the client say this; 0: none does. */
 static uint8_t call_of(const uint8_t *m, size_t n)
 {
-    uint8_t call = m[5] == WIRE_STATUS ? 5 : m[5] == WIRE_WALL ? 0x16 : 0;
+    uint8_t call = m[5] == WIRE_STATUS || m[5] == WIRE_ASSET ? 5 : 0; // an upload waits: a question takes its number
     struct body_arena arena = { 0 };
     struct fault f;
-    if (m[5] != WIRE_BLOOM)
+    if (m[5] != WIRE_BLOOM && m[5] != WIRE_WALL)
         return call;
-    const Airy__Bloom *b = body_unpack(&airy__bloom__descriptor, m + WIRE_HEADER_BYTES, n - WIRE_HEADER_BYTES, &arena, &f);
-    must(b);
-    call = b->plan_only ? 0x24 : b->output && b->output->kind == AIRY__OUTPUT__KIND__MEMFD ? 4 : 0x14;
+    const void *body = body_unpack(m[5] == WIRE_BLOOM ? &airy__bloom__descriptor : &airy__wall__descriptor,
+                                   m + WIRE_HEADER_BYTES, n - WIRE_HEADER_BYTES, &arena, &f);
+    must(body);
+    if (m[5] == WIRE_WALL) {
+        call = ((const Airy__Wall *)body)->action == AIRY__WALL__ACTION__PREVIEW ? 0x16 : 6;
+    } else {
+        const Airy__Bloom *b = body;
+        call = b->plan_only ? 0x24 : b->output && b->output->kind == AIRY__OUTPUT__KIND__MEMFD ? 4 : 0x14;
+    }
     body_arena_finish(&arena);
     return call;
 }
@@ -236,7 +242,7 @@ static void write_libairy(void)
         if (asked[5] == WIRE_BLOOM)
             seed_number(&s, call, 1);
         for (from = 0; (said = next_message(&stream[FROM_DAEMON], &from, &length));)
-            if (!memcmp(said + 16, asked + 16, 8))
+            if (!memcmp(said + 16, asked + 16, 8) && asked[5] != WIRE_ASSET)
                 seed_message(&s, said, length, true);
         if (asked[5] != WIRE_BLOOM) // these look once: the answer is to be there
             seed_number(&s, call, 1);
