@@ -47,7 +47,7 @@ static void check_panel(const struct wall_def *d, const struct wall_panel *p)
 
 static void check_board(const struct wall_def *d, const struct wall_board *b)
 {
-    must(is_name(b->name) && is_name(b->serial) && b->kind < WALL_BOARD_KINDS && b->line >= 1);
+    must(is_name(b->name) && is_name(b->serial) && (unsigned)b->kind < WALL_BOARD_KINDS && b->line >= 1);
     must(b->width >= 1 && b->height >= 1 && (uint64_t)b->width * b->height <= WALL_LEDS_MAX);
     must((1u << b->order[0] | 1u << b->order[1] | 1u << b->order[2]) == 7);
     must(b->supply >= -1 && b->supply < (int)d->n_supplies);
