@@ -4,7 +4,7 @@
 
 FUZZ_NAMES := $(patsubst tests/fuzz/fuzz_%.c,%,$(wildcard tests/fuzz/fuzz_*.c))
 FUZZ_TARGETS := $(FUZZ_NAMES:%=$(T)/fuzz/fuzz_%)
-FUZZ_MAKE = CFLAGS=-fno-sanitize-recover=undefined $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz/obj CC=clang \
+FUZZ_MAKE = CFLAGS=-fno-sanitize-recover=undefined CXXFLAGS=-fno-sanitize-recover=undefined $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz/obj CC=clang \
 	SAN=fuzzer-no-link,address,undefined
 
 $(T)/fuzz/%.o: CPPFLAGS += -Itests -Itests/tools

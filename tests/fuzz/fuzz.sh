@@ -7,7 +7,7 @@ cd "$(dirname "$0")/../.."
 BUILD=${BUILD:-build} MINUTES=${MINUTES:-30} jobs=2
 found=$BUILD/fuzz/found logs=$BUILD/fuzz/logs
 mkdir -p "$found" "$logs"
-export UBSAN_OPTIONS=print_stacktrace=1
+export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1
 seconds=$((MINUTES * 60 * jobs / $#))
 [ "$seconds" -gt 0 ] || seconds=1
 
