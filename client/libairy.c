@@ -192,12 +192,15 @@ static int on_error(struct airy *a, const struct conn_message *m, struct airy_er
     const Airy__Error *b = unpack(a, &airy__error__descriptor, m, e);
     if (!b)
         return -1;
-    struct airy_error error = { .code = b->code <= INT32_MAX ? (int)b->code : INT32_MAX,
+    // Anything else could pass for success, or for a failure of this side.
+    if (b->code < 100 || b->code > 599)
+        return lib_fail(e, EPROTO, "", "the daemon sent an ERROR of code %u; 100 to 599 expected", b->code);
+    struct airy_error error = { .code = (int)b->code,
                                 .retryable = b->retryable,
                                 .retry_after_ms = b->retry_after_ms };
     snprintf(error.symbol, sizeof(error.symbol), "%s", b->symbol);
     snprintf(error.field, sizeof(error.field), "%s", b->field);
-    snprintf(error.text, sizeof(error.text), "%s", b->text);
+    snprintf(error.text, sizeof(error.text), "%s", *b->text ? b->text : "the daemon gives no reason");
     if (m->header.id && !lib_wall_error(a, m->header.id, &error)) {
         struct request *r = find(a->open, m->header.id);
         if (!r || r->ended)

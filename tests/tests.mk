@@ -62,10 +62,11 @@ check: deps
 
 SUB = $(MAKE) --no-print-directory -j2
 check-built:
-	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan"
+	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan, $(BUILD)/fuzz"
 	@$(SUB) all tests
 	@$(SUB) BUILD=$(BUILD)/asan CC=clang SAN=address,undefined all tests
 	@$(SUB) BUILD=$(BUILD)/tsan SAN=thread all tests
+	@$(MAKE) --no-print-directory fuzz-built
 	@BUILD=$(BUILD) bash tests/run.sh
 
 # Random scenes, each of a new seed, for MINUTES; it ends in the worst ratio of error to stated bound, and a failure prints the
@@ -78,3 +79,4 @@ soak: $(T)/test_property
 
 include tests/bench/bench.mk
 include tests/report/report.mk
+include tests/fuzz/fuzz.mk
