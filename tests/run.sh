@@ -54,8 +54,8 @@ keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OP
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
 pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
     frames exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
-    server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
-device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched wall_engine"
+    server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
+device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched server_memory wall_engine"
 
 # Two lanes, for the driver compiles shaders on one core: what draws with many of them in one process, and all else.
 draw() {
@@ -80,7 +80,7 @@ serve() {
     done
         run "tsan-$t" "$S/tests/test_$t"
     done
-    for t in server server_assets server_life server_frames server_looks; do
+    for t in server server_assets server_life server_frames server_limits server_looks; do
         AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" $many_locks "$S/tests/test_$t"
     done
     run tsan-sched $many_locks LD_PRELOAD=libvulkan_lvp.so "$S/tests/test_sched"
