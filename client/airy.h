@@ -132,6 +132,9 @@ struct airy_request {
     /* Raw pixels that are a part of a frame: the frame's size, and where the part's first pixel is. 0 0: they are the frame. */
     uint32_t frame_width, frame_height;
     int32_t frame_x, frame_y;
+
+    int priority;                        /* -10 to 10, among the requests of this user */
+    uint32_t deadline_ms;                /* longest wait for its turn, then it ends with DEADLINE; 0: none */
 };
 #ifdef __cplusplus
 static inline struct airy_request airy_request_init()
@@ -226,6 +229,22 @@ AIRY_API void airy_result_free(struct airy_result *r); /* NULL is fine */
 
 /* ---- status ------------------------------------------------------------------------------------ */
 
+enum { AIRY_STATUS_USERS_MAX = 256, AIRY_STATUS_STAGES_MAX = 8, AIRY_STATUS_BUCKETS_MAX = 24 };
+
+struct airy_status_user { /* of one uid */
+    uint32_t uid, connections, requests, queued, running, fds;
+    uint64_t bytes; /* its inline payloads, and what its frames at work and unread results take */
+    double device_ms;
+};
+struct airy_status_stage { /* requests done since the start, by time */
+    char name[16];
+    uint64_t counts[AIRY_STATUS_BUCKETS_MAX + 1]; /* the last of n_buckets + 1: longer than bucket_ms' last */
+    double sum_ms;
+};
+struct airy_status_memory { /* bytes, by declared size; a daemon that does not tell: zeros */
+    uint64_t ceiling, reserved, payloads, loads, work, work_peak, payloads_max, loads_max, work_max;
+};
+
 struct airy_status {
     char server[64], device[256], device_kind[8], driver[256];
     double uptime_s;
@@ -233,6 +252,14 @@ struct airy_status {
     uint64_t done, failed, cancelled, pixels, bytes_in, bytes_out, rss_bytes;
     struct airy_times mean_ms;
     bool draining;
+    uint32_t n_users;
+    struct airy_status_user user[AIRY_STATUS_USERS_MAX];
+    struct airy_status_memory memory;
+    uint32_t n_buckets, n_stages;
+    double bucket_ms[AIRY_STATUS_BUCKETS_MAX];
+    struct airy_status_stage stage[AIRY_STATUS_STAGES_MAX];
+    uint64_t loop_turns, refused_busy;
+    double loop_worst_ms;
 };
 /* Answered at any load, beside whatever is in flight. A time-out is a failure (-ETIMEDOUT). */
 AIRY_API int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct airy_error *e);

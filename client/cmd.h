@@ -21,6 +21,7 @@ enum cmd_exit {
 enum cmd_exit cmd_bloom(int argc, char **argv);
 enum cmd_exit cmd_plan(int argc, char **argv);
 enum cmd_exit cmd_status(int argc, char **argv);
+enum cmd_exit cmd_top(int argc, char **argv);
 enum cmd_exit cmd_wall(int argc, char **argv);
 enum cmd_exit cmd_help(int argc, char **argv);
 

@@ -95,6 +95,7 @@ static void help_all(void)
          "  airy bloom IN OUT                                        one frame\n"
          "  airy bloom 'in.####.exr' -o 'out.####.exr' -f 1-100x2    a range, several in flight\n"
          "  airy plan IN                                             what would run, and its error bound\n"
+         "  airy top                                                 who has what in a daemon, live\n"
          "  airy status [--json]                                     how a daemon is doing\n"
          "  airy wall ...                                            LED walls: airy wall --help\n"
          "  airy help bloom                                          every option and parameter\n"
@@ -163,18 +164,29 @@ static void help_plan(void)
 
 static void help_status(void)
 {
-    puts("airy status [--socket PATH] [--json]\n"
+    puts("airy status [--socket PATH] [--json | --prometheus]\n"
          "\n"
          "Asks the daemon at PATH (default: $AIRY_SOCKET, $XDG_RUNTIME_DIR/airyd.sock,\n"
          "/run/airyd/airyd.sock) for its device, its queue, its counts and its times.\n"
+         "--prometheus prints them, the users, the memory and the walls as Prometheus scrapes them.\n"
          "\n"
          "Exit status: 0 it answered; 5 none answers; 2 usage.");
+}
+
+static void help_top(void)
+{
+    puts("airy top [--socket PATH] [--once] [--json]\n"
+         "\n"
+         "Once a second: users with what they have in the daemon and their share of the device, the queue,\n"
+         "memory against its ceiling, the times of the stages, the walls. Ctrl-C ends it.\n"
+         "\n"
+         "Exit status: 0 stopped, or --once answered; 5 none answers; 2 usage.");
 }
 
 enum cmd_exit cmd_help(int argc, char **argv)
 {
     if (argc > 2) {
-        cmd_complain("help: one topic expected: bloom, plan or status");
+        cmd_complain("help: one topic expected: bloom, plan, status or top");
         return CMD_USAGE;
     }
     if (argc < 2)
@@ -185,8 +197,10 @@ enum cmd_exit cmd_help(int argc, char **argv)
         help_plan();
     else if (strcmp(argv[1], "status") == 0)
         help_status();
+    else if (strcmp(argv[1], "top") == 0)
+        help_top();
     else {
-        cmd_complain("help: no topic \"%s\"; there are bloom, plan and status", argv[1]);
+        cmd_complain("help: no topic \"%s\"; there are bloom, plan, status and top", argv[1]);
         return CMD_USAGE;
     }
     return CMD_DONE;

@@ -201,27 +201,71 @@ void report_json_error(const struct report_frame *f, const struct airy_error *e,
     json_line(&j);
 }
 
+static void json_users(struct json *j, const struct airy_status *s)
+{
+    json_open(j, "users", '[');
+    for (unsigned i = 0; i < s->n_users; i++) {
+        const struct airy_status_user *u = &s->user[i];
+        json_open(j, NULL, '{');
+        json_count(j, "uid", u->uid);
+        json_count(j, "connections", u->connections);
+        json_count(j, "requests", u->requests);
+        json_count(j, "queued", u->queued);
+        json_count(j, "running", u->running);
+        json_count(j, "fds", u->fds);
+        json_count(j, "bytes", u->bytes);
+        json_number(j, "device_ms", u->device_ms);
+        json_close(j, '}');
+    }
+    json_close(j, ']');
+}
+
+static void json_memory(struct json *j, const struct airy_status_memory *m)
+{
+    json_open(j, "memory", '{');
+    json_count(j, "ceiling", m->ceiling);
+    json_count(j, "reserved", m->reserved);
+    json_count(j, "payloads", m->payloads);
+    json_count(j, "payloads_max", m->payloads_max);
+    json_count(j, "loads", m->loads);
+    json_count(j, "loads_max", m->loads_max);
+    json_count(j, "work", m->work);
+    json_count(j, "work_max", m->work_max);
+    json_count(j, "work_peak", m->work_peak);
+    json_close(j, '}');
+}
+
+void report_json_status_fields(struct json *j, const struct airy_status *s)
+{
+    json_string(j, "server", s->server);
+    json_string(j, "device", s->device);
+    json_string(j, "device_kind", s->device_kind);
+    json_string(j, "driver", s->driver);
+    json_number(j, "uptime_s", s->uptime_s);
+    json_count(j, "clients", s->clients);
+    json_count(j, "queued", s->queued);
+    json_count(j, "running", s->running);
+    json_count(j, "done", s->done);
+    json_count(j, "failed", s->failed);
+    json_count(j, "cancelled", s->cancelled);
+    json_count(j, "refused", s->refused_busy);
+    json_count(j, "pixels", s->pixels);
+    json_count(j, "bytes_in", s->bytes_in);
+    json_count(j, "bytes_out", s->bytes_out);
+    json_count(j, "rss_bytes", s->rss_bytes);
+    json_times(j, "mean_ms", &s->mean_ms, -1);
+    json_memory(j, &s->memory);
+    json_users(j, s);
+    json_count(j, "loop_turns", s->loop_turns);
+    json_number(j, "loop_worst_ms", s->loop_worst_ms);
+    json_bool(j, "draining", s->draining);
+}
+
 void report_json_status(const struct airy_status *s)
 {
     struct json j = { .out = stdout };
     json_open(&j, NULL, '{');
-    json_string(&j, "server", s->server);
-    json_string(&j, "device", s->device);
-    json_string(&j, "device_kind", s->device_kind);
-    json_string(&j, "driver", s->driver);
-    json_number(&j, "uptime_s", s->uptime_s);
-    json_count(&j, "clients", s->clients);
-    json_count(&j, "queued", s->queued);
-    json_count(&j, "running", s->running);
-    json_count(&j, "done", s->done);
-    json_count(&j, "failed", s->failed);
-    json_count(&j, "cancelled", s->cancelled);
-    json_count(&j, "pixels", s->pixels);
-    json_count(&j, "bytes_in", s->bytes_in);
-    json_count(&j, "bytes_out", s->bytes_out);
-    json_count(&j, "rss_bytes", s->rss_bytes);
-    json_times(&j, "mean_ms", &s->mean_ms, -1);
-    json_bool(&j, "draining", s->draining);
+    report_json_status_fields(&j, s);
     json_close(&j, '}');
     json_line(&j);
 }

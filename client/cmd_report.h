@@ -22,6 +22,9 @@ struct report_frame {
 void report_json_done(const struct report_frame *f, const struct airy_result *r, double write_ms);
 void report_json_error(const struct report_frame *f, const struct airy_error *e, enum cmd_exit exit);
 void report_json_status(const struct airy_status *s);
+struct json;
+/* ... its members, into an object that is open. */
+void report_json_status_fields(struct json *j, const struct airy_status *s);
 
 /* A line per frame of a range; a paragraph for a single frame. */
 void report_line(struct progress *p, const struct report_frame *f, const struct airy_result *r);

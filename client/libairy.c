@@ -212,6 +212,48 @@ static int on_error(struct airy *a, const struct conn_message *m, struct airy_er
     return m->header.id && !fault_closes((enum fault_code)error.code) ? 0 : copy_error(e, &error);
 }
 
+static void status_users(struct airy_status *s, const Airy__StatusReply *b)
+{
+    for (size_t i = 0; i < b->n_users && s->n_users < AIRY_STATUS_USERS_MAX; i++) {
+        const Airy__UserState *u = b->users[i];
+        s->user[s->n_users++] = (struct airy_status_user){ .uid = u->uid,
+                                                           .connections = u->connections,
+                                                           .requests = u->requests,
+                                                           .queued = u->queued,
+                                                           .running = u->running,
+                                                           .fds = u->fds,
+                                                           .bytes = u->bytes,
+                                                           .device_ms = u->device_ms };
+    }
+}
+
+// A histogram whose buckets are not those that were told, or more than there is room for, is left out.
+static void status_stages(struct airy_status *s, const Airy__StatusReply *b)
+{
+    if (b->n_bucket_ms > AIRY_STATUS_BUCKETS_MAX)
+        return;
+    s->n_buckets = (uint32_t)b->n_bucket_ms;
+    for (size_t i = 0; i < b->n_bucket_ms; i++)
+        s->bucket_ms[i] = b->bucket_ms[i];
+    for (size_t i = 0; i < b->n_stages && s->n_stages < AIRY_STATUS_STAGES_MAX; i++) {
+        const Airy__StageHistogram *h = b->stages[i];
+        struct airy_status_stage *o = &s->stage[s->n_stages];
+        if (h->n_counts != b->n_bucket_ms + 1)
+            continue;
+        snprintf(o->name, sizeof(o->name), "%s", h->stage);
+        for (size_t k = 0; k < h->n_counts; k++)
+            o->counts[k] = h->counts[k];
+        o->sum_ms = h->sum_ms;
+        s->n_stages++;
+    }
+}
+
+static void status_memory(struct airy_status_memory *o, const Airy__MemoryState *m)
+{
+    *o = (struct airy_status_memory){ m->ceiling, m->reserved,     m->payloads,  m->loads,   m->work,
+                                      m->work_peak, m->payloads_max, m->loads_max, m->work_max };
+}
+
 static int on_status(struct airy *a, const struct conn_message *m, struct airy_error *e)
 {
     const Airy__StatusReply *b = unpack(a, &airy__status_reply__descriptor, m, e);
@@ -233,7 +275,14 @@ static int on_status(struct airy *a, const struct conn_message *m, struct airy_e
         .bytes_out = b->bytes_out,
         .rss_bytes = b->rss_bytes,
         .draining = b->draining,
+        .loop_turns = b->loop_turns,
+        .refused_busy = b->refused_busy,
+        .loop_worst_ms = b->loop_worst_ms,
     };
+    status_users(s, b);
+    status_stages(s, b);
+    if (b->memory)
+        status_memory(&s->memory, b->memory);
     snprintf(s->server, sizeof(s->server), "%s", b->server);
     if (b->device) {
         snprintf(s->device, sizeof(s->device), "%s", b->device->name);

@@ -195,6 +195,8 @@ static int draft_make(struct draft *d, const struct airy_request *r, struct airy
     d->bloom.n_params = r->n_params;
     d->bloom.progress = r->progress != NULL;
     d->bloom.plan_only = r->plan_only;
+    d->bloom.priority = r->priority;
+    d->bloom.deadline_ms = r->deadline_ms;
     d->bloom.input = &d->input;
     if (draft_input(d, r, e) < 0 || draft_wall(d, r, e) < 0 || (!r->plan_only && draft_output(d, r, e) < 0))
         return -1;

@@ -38,8 +38,9 @@ enum cmd_exit cmd_exit_of(const struct airy_error *e)
 
 static enum cmd_exit dispatch(int argc, char **argv)
 {
-    static const char *const names[] = { "bloom", "plan", "status", "wall", "help" };
-    static enum cmd_exit (*const commands[])(int, char **) = { cmd_bloom, cmd_plan, cmd_status, cmd_wall, cmd_help };
+    static const char *const names[] = { "bloom", "plan", "status", "top", "wall", "help" };
+    static enum cmd_exit (*const commands[])(int, char **) = { cmd_bloom, cmd_plan, cmd_status, cmd_top, cmd_wall,
+                                                         cmd_help };
     enum { COMMANDS = sizeof(commands) / sizeof(commands[0]) };
     const char *word = argc > 1 ? argv[1] : "";
     if (strcmp(word, "--help") == 0 || strcmp(word, "-h") == 0)

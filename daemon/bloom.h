@@ -78,6 +78,11 @@ int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
                        const struct bloom_geometry *geometry, struct planes *in, struct planes *out,
                        struct fault *f);
 
+/* Gives the slot's memory back; its planes are gone until it is prepared again. On the device thread. */
+void bloom_slot_release(struct bloom *b, struct bloom_slot *s);
+/* Gives back the memory of the levels, which all slots share: the next frame makes them again. On the device thread. */
+void bloom_levels_release(struct bloom *b);
+
 /* An image that a request names by digest: lens dirt, or a kernel. Plain rows of interleaved R G B floats,
  * all finite, >= 0; the owner keeps it unchanged until bloom_run returns. */
 struct bloom_image {

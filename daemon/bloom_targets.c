@@ -263,3 +263,12 @@ int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
     }
     return 0;
 }
+
+void bloom_slot_release(struct bloom *b, struct bloom_slot *s) { slot_destroy(&b->vk, s); }
+
+void bloom_levels_release(struct bloom *b)
+{
+    fft_destroy(b);
+    targets_destroy(&b->vk, &b->targets);
+    vk_arena_free(&b->vk, &b->targets.memory);
+}

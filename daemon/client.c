@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // client.c - see client.h.
-#include "client.h"
+#include "client_private.h"
 
 #include <assert.h>
 #include <errno.h>
@@ -14,43 +14,11 @@
 #include <unistd.h>
 
 #include "body.h"
-#include "request.h"
 #include "wall_message.h"
 
-enum { READ_ONCE_BYTES = 1024 * 1024, UNSENT_REPLIES_MAX = 256, RETRY_MIN_MS = 20, RETRY_MAX_MS = 60000 };
+enum { READ_ONCE_BYTES = 1024 * 1024, REFUSED_MAX = 16 };
 
-enum client_state { CLIENT_HELLO, CLIENT_READY, CLIENT_CLOSING, CLIENT_LINGER, CLIENT_DEAD };
-
-struct settled { // comes back to the client when the stream has been written up to here
-    uint64_t at, credit_bytes;
-};
-
-struct client {
-    struct client_host *host;
-    struct conn *conn;
-    struct ucred peer;
-    enum client_state state;
-    struct body_arena arena;
-    struct sched_flow flow;
-
-    struct job_queue jobs; // in upload, or sched's
-    unsigned n_requests;   // jobs, and replies not yet written
-    struct job *sink;      // a DATA message is being read into its block
-    bool sink_dead;        // ... and it has ended: destroyed after that message
-    uint64_t credit_left;
-
-    uint64_t written; // of the stream to the client, since the start
-    uint64_t reply_end[UNSENT_REPLIES_MAX];
-    unsigned replies;
-    struct settled *settled; // ring of max_requests
-    unsigned settled_first, settled_count;
-
-    uint64_t since_ns; // state entered; CLOSING and LINGER: deadline counts from here
-    uint64_t write_ns; // last time that something was written, or there was nothing to write
-};
-
-static void say(const struct client *c, const char *format, ...) __attribute__((format(printf, 2, 3)));
-static void say(const struct client *c, const char *format, ...)
+void client_say(const struct client *c, const char *format, ...)
 {
     if (!c->host->log)
         return;
@@ -73,14 +41,15 @@ static void enter(struct client *c, enum client_state state)
 
 // ---- jobs ------------------------------------------------------------------------------------------
 
-static void job_drop(struct client_host *host, struct job *j)
+void client_job_drop(struct client_host *host, struct job *j)
 {
-    host->held_bytes -= j->input_held + j->output_held;
+    host->held_bytes -= j->input_held;
     host->jobs--;
+    sched_drop(host->sched, j);
     job_destroy(j);
 }
 
-static struct job *job_find(struct client *c, uint64_t id)
+struct job *client_job_find(struct client *c, uint64_t id)
 {
     struct job *j;
     TAILQ_FOREACH(j, &c->jobs, of_client)
@@ -96,7 +65,7 @@ static void upload_end(struct client *c, struct job *j)
     if (c->sink == j)
         c->sink_dead = true;
     else
-        job_drop(c->host, j);
+        client_job_drop(c->host, j);
 }
 
 static void jobs_abandon(struct client *c)
@@ -119,7 +88,7 @@ static void jobs_abandon(struct client *c)
 static int queued(struct client *c, int rc)
 {
     if (rc < 0) {
-        say(c, "no reply could be made: %s", strerror(-rc));
+        client_say(c, "no reply could be made: %s", strerror(-rc));
         enter(c, CLIENT_DEAD);
         return -1;
     }
@@ -166,7 +135,7 @@ static void flush(struct client *c)
         if (before != after || !after)
             c->write_ns = clock_ns();
         if (rc < 0) {
-            say(c, "gone while being written to: %s", strerror(-rc));
+            client_say(c, "gone while being written to: %s", strerror(-rc));
             enter(c, CLIENT_DEAD);
             return;
         }
@@ -183,17 +152,18 @@ static void flush(struct client *c)
 // An error that ends the connection, once it is written.
 static void fail(struct client *c, uint64_t id, const struct fault *f)
 {
-    say(c, "%s: %s", fault_symbol(f->code), f->text);
+    client_say(c, "%s: %s", fault_symbol(f->code), f->text);
     jobs_abandon(c);
     enter(c, CLIENT_CLOSING);
     queued(c, reply_fault(c->conn, id, f));
 }
 
 // An error that ends one request which has not become (or is no longer) a job.
-static void refuse(struct client *c, uint64_t id, uint64_t credit_bytes, const struct fault *f)
+void client_refuse(struct client *c, uint64_t id, uint64_t credit_bytes, const struct fault *f)
 {
     c->host->metrics.failed++;
-    say(c, "request %" PRIu64 ": %s: %s: %s", id, fault_symbol(f->code), f->field, f->text);
+    c->host->metrics.refused_busy += f->code == FAULT_BUSY;
+    client_say(c, "request %" PRIu64 ": %s: %s: %s", id, fault_symbol(f->code), f->field, f->text);
     if (fault_closes(f->code)) {
         fail(c, id, f);
         return;
@@ -214,7 +184,7 @@ static void upload_fail(struct client *c, struct job *j, const struct fault *f)
 static void data_written(void *ctx)
 {
     struct job *j = ctx;
-    job_drop(j->host, j);
+    client_job_drop(j->host, j);
 }
 
 static int send_result(struct client *c, struct job *j, bool *kept)
@@ -226,8 +196,6 @@ static int send_result(struct client *c, struct job *j, bool *kept)
         if (rc < 0)
             return rc;
         *kept = true;
-        j->output_held = bytes;
-        c->host->held_bytes += bytes;
     }
     return j->kind == JOB_KEEPS ? reply_kept(c->conn, j) : reply_result(c->conn, j, &c->host->facts);
 }
@@ -262,7 +230,7 @@ void client_job_done(struct client_host *host, struct job *j)
     struct client *c = j->client;
     note_end(host, j);
     if (!c) {
-        job_drop(host, j);
+        client_job_drop(host, j);
         return;
     }
     TAILQ_REMOVE(&c->jobs, j, of_client);
@@ -275,7 +243,7 @@ void client_job_done(struct client_host *host, struct job *j)
     } else if (j->finished) {
         rc = send_result(c, j, &kept);
     } else if (j->fault.code != FAULT_NONE) {
-        say(c, "request %" PRIu64 ": %s: %s: %s", id, fault_symbol(j->fault.code), j->fault.field,
+        client_say(c, "request %" PRIu64 ": %s: %s: %s", id, fault_symbol(j->fault.code), j->fault.field,
             j->fault.text);
         rc = reply_fault(c->conn, id, &j->fault);
     } else {
@@ -284,147 +252,16 @@ void client_job_done(struct client_host *host, struct job *j)
     if (queued(c, rc) == 0)
         settle(c, credit);
     if (!kept)
-        job_drop(host, j);
+        client_job_drop(host, j);
     flush(c);
 }
 
-// ---- BLOOM, ASSET, DATA, CANCEL ------------------------------------------------------------------------
-
-static int busy(const struct client *c, struct fault *f, const char *what, uint64_t found, uint64_t limit)
-{
-    fault_set(f, FAULT_BUSY, "", "%s: %" PRIu64 " of %" PRIu64 "; try again", what, found, limit);
-    struct sched_counts counts = sched_counts(c->host->sched);
-    double each = metrics_mean(&c->host->metrics).total, wait = each * (counts.waiting + 1) / 2;
-    f->retry_after_ms = wait > RETRY_MAX_MS ? RETRY_MAX_MS : wait < RETRY_MIN_MS ? RETRY_MIN_MS : (uint32_t)wait;
-    f->queue_position = counts.waiting + 1;
-    return -1;
-}
-
-// What is judged before the request itself: the connection's and the daemon's room.
-static int admit(struct client *c, uint64_t id, uint64_t bytes, bool is_inline, struct fault *f)
-{
-    const struct client_host *h = c->host;
-    if (h->draining)
-        return fault_set(f, FAULT_SHUTTING_DOWN, "", "the daemon is stopping");
-    if (job_find(c, id))
-        return fault_set(f, FAULT_DUPLICATE_ID, "id", "request %" PRIu64 " is still in flight", id);
-    if (bytes > h->facts.job.max_frame_bytes)
-        return fault_set(f, FAULT_LIMIT, "input.size", "%" PRIu64 " bytes; at most %" PRIu64 " are taken", bytes,
-                         h->facts.job.max_frame_bytes);
-    if (bytes > c->credit_left)
-        return busy(c, f, "credit exceeded, payload bytes in flight on this connection",
-                    h->facts.credit_bytes - c->credit_left + bytes, h->facts.credit_bytes);
-    if (c->n_requests >= h->facts.max_requests)
-        return busy(c, f, "requests in flight on this connection", c->n_requests, h->facts.max_requests);
-    if (h->jobs >= h->jobs_max)
-        return busy(c, f, "requests in the daemon", h->jobs, h->jobs_max);
-    if (is_inline && h->held_bytes + bytes > h->held_bytes_max) // both far below 2^63
-        return busy(c, f, "payload bytes in the daemon", h->held_bytes + bytes, h->held_bytes_max);
-    return 0;
-}
-
-static void submit(struct client *c, struct job *j) { sched_submit(c->host->sched, &c->flow, j); }
-
-static int start(struct client *c, struct job *j, uint64_t bytes, struct fault *f)
-{
-    if (j->input.kind == PAYLOAD_INLINE) {
-        j->input.block = block_take(&c->host->blocks, j->input.size);
-        if (!j->input.block)
-            return fault_set(f, FAULT_NO_MEMORY, "input.size", "no memory for %" PRIu64 " bytes", j->input.size);
-        j->input_held = j->input.size;
-        c->host->held_bytes += j->input_held;
-    }
-    j->credit_bytes = bytes;
-    c->credit_left -= bytes;
-    j->upload_ns = clock_ns();
-    TAILQ_INSERT_TAIL(&c->jobs, j, of_client);
-    c->n_requests++;
-    if (j->input.kind != PAYLOAD_INLINE)
-        submit(c, j);
-    return 0;
-}
-
-static void close_fds(const struct conn_message *m)
-{
-    for (unsigned i = 0; i < m->header.n_fds; i++)
-        close(m->fds[i]);
-}
-
-// The body of a BLOOM or an ASSET, unpacked.
-struct ask {
-    const Airy__Bloom *bloom; // one of the two
-    const Airy__Asset *asset;
-    const Airy__Payload *input; // may be NULL
-};
-
-static int ask_read(struct client *c, const struct conn_message *m, struct ask *a, struct fault *f)
-{
-    bool is_asset = m->header.type == WIRE_ASSET;
-    void *body = body_unpack(is_asset ? &airy__asset__descriptor : &airy__bloom__descriptor, m->body,
-                             m->header.body_bytes, &c->arena, f);
-    if (!body)
-        return -1;
-    if (!m->header.id)
-        return fault_set(f, FAULT_UNEXPECTED, "id", "%s with request id 0; expected any other",
-                         wire_type_name(m->header.type));
-    if (is_asset)
-        a->asset = body;
-    else
-        a->bloom = body;
-    a->input = is_asset ? a->asset->input : a->bloom->input;
-    return 0;
-}
-
-// A fresh job from the message, or NULL and *f. Takes the descriptors.
-static struct job *make_job(struct client *c, const struct conn_message *m, const struct ask *a, struct fault *f)
-{
-    struct job *j = job_create(&c->host->job);
-    if (!j) {
-        close_fds(m);
-        fault_set(f, FAULT_NO_MEMORY, "", "no memory for a request");
-        return NULL;
-    }
-    c->host->jobs++;
-    j->host = c->host;
-    j->client = c;
-    j->id = m->header.id;
-    int rc = a->asset ? request_read_asset(j, a->asset, m->fds, m->header.n_fds, f)
-                      : request_read(j, a->bloom, m->fds, m->header.n_fds, f);
-    if (rc == 0 && j->output_kind == JOB_OUTPUT_WALL)
-        rc = walls_claim(j->wall, c, f);
-    if (rc < 0 || start(c, j, a->input->size, f) < 0) {
-        job_drop(c->host, j);
-        return NULL;
-    }
-    return j;
-}
-
-static void on_ask(struct client *c, const struct conn_message *m)
-{
-    struct fault f = { .code = FAULT_NONE };
-    uint64_t id = m->header.id;
-    struct ask a = { 0 };
-    if (ask_read(c, m, &a, &f) < 0) {
-        close_fds(m);
-        refuse(c, id, 0, &f);
-        return;
-    }
-    uint64_t bytes = a.input ? a.input->size : 0;
-    bool is_inline = a.input && a.input->kind == AIRY__PAYLOAD__KIND__INLINE;
-    struct job *j = NULL;
-    if (admit(c, id, bytes, is_inline, &f) < 0)
-        close_fds(m);
-    else
-        j = make_job(c, m, &a, &f);
-    // The client has counted its bytes off in any case, and gets them back.
-    if (!j)
-        refuse(c, id, bytes, &f);
-}
+// ---- DATA, CANCEL (BLOOM, ASSET: client_ask.c) ------------------------------------------------------------------------
 
 static void *place_data(void *ctx, uint64_t id, uint32_t bytes)
 {
     struct client *c = ctx;
-    struct job *j = job_find(c, id);
+    struct job *j = client_job_find(c, id);
     if (c->state != CLIENT_READY || !j || j->stage != JOB_UPLOAD || bytes > j->input.size - j->received)
         return NULL;
     c->sink = j;
@@ -439,13 +276,13 @@ static void data_taken(struct client *c, uint32_t bytes)
     c->sink = NULL;
     if (c->sink_dead) {
         c->sink_dead = false;
-        job_drop(c->host, j);
+        client_job_drop(c->host, j);
         return;
     }
     j->received += bytes;
     j->upload_ns = clock_ns();
     if (j->received == j->input.size)
-        submit(c, j);
+        sched_submit(c->host->sched, &c->flow, j);
 }
 
 // Bytes of a request that ended (refused, cancelled) are still on their way here: they mean nothing.
@@ -456,7 +293,7 @@ static void on_data(struct client *c, const struct conn_message *m)
         data_taken(c, m->header.body_bytes);
         return;
     }
-    struct job *j = job_find(c, m->header.id);
+    struct job *j = client_job_find(c, m->header.id);
     if (!j || !m->header.body_bytes)
         return;
     if (j->stage == JOB_UPLOAD) {
@@ -470,7 +307,7 @@ static void on_data(struct client *c, const struct conn_message *m)
 
 static void on_cancel(struct client *c, const struct conn_message *m)
 {
-    struct job *j = job_find(c, m->header.id);
+    struct job *j = client_job_find(c, m->header.id);
     if (!j)
         return; // ended already: its reply is on its way
     if (j->stage != JOB_UPLOAD) {
@@ -502,7 +339,7 @@ static void on_hello(struct client *c, const struct conn_message *m)
         fail(c, 0, &f);
         return;
     }
-    say(c, "hello from \"%.80s\"", h->client);
+    client_say(c, "hello from \"%.80s\"", h->client);
     enter(c, CLIENT_READY);
     queued(c, reply_welcome(c->conn, &c->host->facts));
 }
@@ -513,8 +350,10 @@ static void on_status(struct client *c, const struct conn_message *m)
         .clients = c->host->clients,
         .sched = sched_counts(c->host->sched),
         .metrics = &c->host->metrics,
+        .inline_bytes = c->host->held_bytes,
         .draining = c->host->draining,
     };
+    s.n_users = sched_users(c->host->sched, s.user);
     queued(c, reply_status(c->conn, m->header.id, &c->host->facts, &s));
 }
 
@@ -555,7 +394,7 @@ static void on_wall(struct client *c, const struct conn_message *m)
     Airy__WallReply *r = NULL;
     struct block *preview = NULL;
     uint64_t bytes = 0;
-    if (w && (!id || job_find(c, id))) {
+    if (w && (!id || client_job_find(c, id))) {
         fault_set(&f, id ? FAULT_DUPLICATE_ID : FAULT_UNEXPECTED, "id", "WALL with %s; expected an id of its own",
                   id ? "the id of a request in flight" : "request id 0");
         w = NULL;
@@ -565,7 +404,7 @@ static void on_wall(struct client *c, const struct conn_message *m)
         w = NULL;
     }
     if (!w || wall_message(&desk, w, c, &c->arena, &r, &preview, &bytes, &f) < 0) {
-        refuse(c, id, 0, &f);
+        client_refuse(c, id, 0, &f);
         return;
     }
     if (preview && queued(c, send_preview(c, id, preview, bytes)) < 0)
@@ -573,12 +412,18 @@ static void on_wall(struct client *c, const struct conn_message *m)
     queued(c, body_send(c->conn, WIRE_WALL_REPLY, id, &r->base, NULL, 0));
 }
 
+void client_close_fds(const struct conn_message *m)
+{
+    for (unsigned i = 0; i < m->header.n_fds; i++)
+        close(m->fds[i]);
+}
+
 static void dispatch(struct client *c, const struct conn_message *m)
 {
     if (c->state == CLIENT_READY) {
         switch (m->header.type) {
         case WIRE_BLOOM:
-        case WIRE_ASSET: on_ask(c, m); return;
+        case WIRE_ASSET: client_ask(c, m); return;
         case WIRE_DATA: on_data(c, m); return;
         case WIRE_CANCEL: on_cancel(c, m); return;
         case WIRE_STATUS: on_status(c, m); return;
@@ -590,7 +435,7 @@ static void dispatch(struct client *c, const struct conn_message *m)
         return;
     }
     struct fault f;
-    close_fds(m);
+    client_close_fds(m);
     fault_set(&f, FAULT_UNEXPECTED, "type", "%s %s", wire_type_name(m->header.type),
               c->state == CLIENT_READY ? "may not come again" : "came before HELLO");
     fail(c, 0, &f);
@@ -625,7 +470,7 @@ static void read_messages(struct client *c)
         fail(c, 0, &f);
     if (rc < 0 && c->state != CLIENT_DEAD) {
         flush(c); // who has only stopped writing can read its error
-        say(c, "gone (%s)%s", strerror(-rc), TAILQ_EMPTY(&c->jobs) ? "" : " with requests in flight");
+        client_say(c, "gone (%s)%s", strerror(-rc), TAILQ_EMPTY(&c->jobs) ? "" : " with requests in flight");
         enter(c, CLIENT_DEAD);
     }
 }
@@ -680,7 +525,7 @@ void client_tick(struct client *c, uint64_t now_ns)
     }
     uploads_tick(c, now_ns);
     if (conn_unsent_bytes(c->conn) && past(now_ns, c->write_ns, t->write)) {
-        say(c, "does not read its replies: closed");
+        client_say(c, "does not read its replies: closed");
         enter(c, CLIENT_DEAD);
     }
     if (c->state == CLIENT_LINGER && past(now_ns, c->since_ns, t->linger))
@@ -706,6 +551,20 @@ void client_progress(struct client *c)
 
 // ---- life ------------------------------------------------------------------------------------------
 
+// It is told, and then let go; of many that come at once only some are waited for until they have read it.
+static void turn_away(struct client *c, unsigned connections)
+{
+    struct fault f;
+    client_busy(c->host, &f, "connections of this user", connections, c->host->user_connections_max);
+    sched_flow_close(c->host->sched, &c->flow);
+    c->refused = true;
+    c->host->metrics.refused_busy++;
+    fail(c, 0, &f);
+    flush(c);
+    if (++c->host->refused > REFUSED_MAX)
+        enter(c, CLIENT_DEAD);
+}
+
 struct client *client_create(struct client_host *host, int fd)
 {
     struct client *c = calloc(1, sizeof *c);
@@ -722,10 +581,13 @@ struct client *client_create(struct client_host *host, int fd)
     if (!c->settled || getsockopt(fd, SOL_SOCKET, SO_PEERCRED, &c->peer, &n) < 0 ||
         conn_create(&c->conn, fd, WIRE_DAEMON) < 0)
         goto fail;
-    if (sched_flow_open(host->sched, &c->flow, c->peer.uid) < 0)
+    unsigned connections;
+    if (sched_flow_open(host->sched, &c->flow, c->peer.uid, &connections) < 0)
         goto fail;
     conn_set_sink(c->conn, place_data, c);
     host->clients++;
+    if (connections > host->user_connections_max)
+        turn_away(c, connections);
     return c;
 fail:
     if (c->conn)
@@ -745,10 +607,11 @@ void client_destroy(struct client *c)
     walls_client_gone(c->host->walls, c);
     conn_destroy(c->conn); // gives up the place of a message that is half read
     if (c->sink_dead)
-        job_drop(c->host, c->sink);
+        client_job_drop(c->host, c->sink);
     sched_flow_close(c->host->sched, &c->flow);
     body_arena_finish(&c->arena);
     c->host->clients--;
+    c->host->refused -= c->refused;
     free(c->settled);
     free(c);
 }

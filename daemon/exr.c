@@ -75,6 +75,23 @@ static int check_decoded(const struct exr *x, struct fault *f)
     return 0;
 }
 
+// What is unpacked stays to the end; what is packed is never larger than unpacked, and lives twice while the file is put together;
+// what is not touched is copied from the input.
+uint64_t exr_work_bytes(const struct exr *x)
+{
+    uint64_t unpacked = 0, made = 0;
+    for (unsigned i = 0; i < x->parts; i++)
+        for (uint32_t k = 0; x->part[i].targets && k < x->part[i].chunks; k++)
+            unpacked += x->part[i].chunk[k].unpacked_bytes;
+    for (unsigned i = 0; i < x->targets; i++) {
+        const struct exr_target *t = &x->target[i].pub;
+        if (t->role == EXR_SCENE)
+            made += (t->width + 2ull * t->grow) * (t->height + 2ull * t->grow) * t->channels * (1ull + x->options.extras) *
+                    pixel_bytes(PIXEL_TYPE_FLOAT);
+    }
+    return x->size + 3 * unpacked + 2 * made;
+}
+
 // Under AddressSanitizer each chunk has memory of its own, so that it sees an overrun.
 #if defined(__SANITIZE_ADDRESS__)
 enum { SHARED_ROOM = 0 };

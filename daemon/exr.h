@@ -95,6 +95,9 @@ struct exr_target *exr_target(struct exr *x, unsigned i);
  * luminance-chroma, whose rows are made of neighbours (0: all stays as it was). 1: cropped; 0; -1 and *f. */
 int exr_crop(struct exr *x, unsigned target, uint32_t x0, uint32_t y0, uint32_t x1, uint32_t y1, struct fault *f);
 
+/* With the targets' grow: bytes that the codec and the output file take at most until exr_close. */
+uint64_t exr_work_bytes(const struct exr *x);
+
 /* Whether the output can have the targets' grow: 0, or -1 and *f. exr_encode_begin asks, too; who asks before
  * it takes memory for the planes takes none in vain. */
 int exr_grow_check(const struct exr *x, struct fault *f);
@@ -127,6 +130,9 @@ struct exr_counts {
 struct exr_counts exr_counts(const struct exr *x);
 unsigned exr_note_count(const struct exr *x); /* "preview dropped", ... */
 const char *exr_note(const struct exr *x, unsigned i);
+
+/* Memory of chunks that is kept for the next file, of the whole process (512 MiB). Before the first file. */
+void exr_cache_limit(uint64_t bytes);
 
 int exr_worker_create(struct exr_worker **out); /* 0 or -errno */
 void exr_worker_destroy(struct exr_worker *w);

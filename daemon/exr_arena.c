@@ -4,7 +4,7 @@
  *
  * Fresh pages cost a fifth of a ZIP frame's decoding. So a request takes one block for all its chunks and
  * gives it back to a small cache of the process: least recently used goes first, and at most
- * CACHE_BYTES are kept. Any thread.
+ * cache_bytes are kept. Any thread.
  */
 #include <pthread.h>
 #include <stdlib.h>
@@ -12,7 +12,7 @@
 #include "exr_internal.h"
 
 enum { CACHE_SLOTS = 16 };
-static const uint64_t CACHE_BYTES = UINT64_C(512) << 20;
+static _Atomic uint64_t cache_bytes = UINT64_C(512) << 20;
 
 static pthread_mutex_t lock = PTHREAD_MUTEX_INITIALIZER;
 static struct exr_arena cache[CACHE_SLOTS]; // [0] is the least recently used; `used` of them
@@ -44,6 +44,8 @@ static struct exr_arena cache_take(uint64_t bytes)
     return a;
 }
 
+void exr_cache_limit(uint64_t bytes) { cache_bytes = bytes; }
+
 int exr_arena_init(struct exr_arena *a, uint64_t bytes)
 {
     *a = (struct exr_arena){ 0 };
@@ -64,10 +66,10 @@ void exr_arena_finish(struct exr_arena *a)
     if (!a->memory)
         return;
     pthread_mutex_lock(&lock);
-    if (a->bytes > CACHE_BYTES) {
+    if (a->bytes > cache_bytes) {
         drop[drops++] = *a;
     } else {
-        while (used == CACHE_SLOTS || (used && cached_bytes + a->bytes > CACHE_BYTES))
+        while (used == CACHE_SLOTS || (used && cached_bytes + a->bytes > cache_bytes))
             drop[drops++] = cache_remove(0);
         cache[used++] = *a;
         cached_bytes += a->bytes;

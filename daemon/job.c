@@ -243,6 +243,16 @@ unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS
     return j->n_targets;
 }
 
+// Of a wall the drive; a raw result is as large as what came; of an EXR file what is unpacked, packed and put together.
+uint64_t job_work_bytes(const struct job *j)
+{
+    if (j->wall)
+        return (uint64_t)j->of_wall.geometry.width * j->of_wall.geometry.height * 12 + (j->raw ? 0 : exr_work_bytes(j->exr));
+    if (!j->raw)
+        return exr_work_bytes(j->exr);
+    return j->output_kind == JOB_OUTPUT_BUFFER ? 0 : j->input.size;
+}
+
 void job_bind(struct job *j, const struct planes *in, const struct planes *out)
 {
     if (j->raw) {

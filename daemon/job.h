@@ -97,6 +97,7 @@ struct job_wall { /* of a frame for a wall */
 };
 
 struct sched_flow;
+struct sched_user;
 struct sched_slot;
 struct client;
 struct client_host;
@@ -105,7 +106,7 @@ struct job {
     /* The client's; constant from the submit on. */
     struct client *client; /* NULL: gone */
     struct client_host *host;
-    uint64_t input_held, output_held; /* bytes that count against the host's */
+    uint64_t input_held; /* bytes that count against the host's */
     uint64_t id;
     TAILQ_ENTRY(job) of_client;
     enum job_kind kind;
@@ -124,8 +125,17 @@ struct job {
     uint64_t received, credit_bytes, upload_ns; /* inline: so far; held; last progress */
     bool wants_progress, overrun; /* overrun: more came than was announced */
     int progress_sent; /* the last stage told, -1: none */
+    int priority;         /* -10 .. 10, among its user's */
+    uint32_t deadline_ms; /* 0: none; from the submit on, for what waits */
 
     /* sched's, under its lock. */
+    struct sched_user *user;       /* whom it counts for; NULL: nobody yet */
+    unsigned fds_held;
+    uint64_t load_held, work_held; /* of sched's room */
+    double units, charged_ms;      /* how large it is said to be, and what its turn was reckoned at */
+    uint64_t deadline_ns;
+    bool parked;                   /* opened, and waits for room */
+    bool keeping;                  /* the one that keeps an image now */
     const struct job_env *env;
     TAILQ_ENTRY(job) link;
     bool linked; /* in a queue by `link` */
@@ -176,6 +186,8 @@ int job_task(struct job *j, unsigned task, struct exr_worker *w, struct fault *f
 bool job_wants_plan(const struct job *j);
 /* After OPEN: what planes are needed. Returns their number. */
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX]);
+/* After OPEN: bytes that it takes beside its planes until it is done, its result's included. Never less than what it will take. */
+uint64_t job_work_bytes(const struct job *j);
 /* Hands the planes of the job's slot to the decoder and encoder. */
 void job_bind(struct job *j, const struct planes *in, const struct planes *out);
 /* PLAN and BLOOM, all scenes. */

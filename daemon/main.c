@@ -20,6 +20,7 @@ enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
 struct options {
     const char *socket, *device, *warm;
     uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s, asset_bytes;
+    uint64_t memory_bytes, user_connections, user_requests, user_bytes; // 0: by the machine
     const char *wall[WALLS_MAX];
     unsigned n_walls;
     int lifetime_fd;
@@ -56,11 +57,18 @@ static const char usage[] =
     "      --threads N            codec threads, 1 to 256 (default: the number of CPUs)\n"
     "      --slots N              frames between decoding and encoding, 1 to 8 (default 3)\n"
     "      --max-frame-bytes N    largest payload, either way; K, M, G may follow (default 2G, at\n"
-    "                             most a quarter of the memory)\n"
+    "                             most an eighth of --memory-bytes)\n"
+    "      --memory-bytes N       memory for payloads, frames and caches, by declared size; K, M, G may follow\n"
+    "                             (default three quarters of the memory)\n"
     "      --max-clients N        connections, 1 to 65536 (default 1024)\n"
     "      --max-requests N       requests in flight on a connection, 1 to 4096 (default 64)\n"
+    "      --user-connections N   connections of a user, 1 to 65536 (default three quarters of --max-clients,\n"
+    "                             but 16)\n"
+    "      --user-requests N      requests in flight of a user, 1 to 65536 (default 1024)\n"
+    "      --user-bytes N         memory for a user's payloads, and as much for the user's frames at work; K, M, G\n"
+    "                             may follow (default what keeps some for others)\n"
     "      --asset-bytes N        memory for the images that requests name by digest, decoded; K, M, G may\n"
-    "                             follow (default 256M)\n"
+    "                             follow (default 256M, at most a sixteenth of --memory-bytes)\n"
     "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
     "      --lifetime-fd N        stop when this inherited pipe's other end is closed\n"
     "      --wall FILE            drive this LED wall, airy-wall(5), from the start; up to 4\n"
@@ -82,6 +90,10 @@ enum option_id {
     OPT_REQUESTS,
     OPT_TIMEOUT,
     OPT_ASSETS,
+    OPT_MEMORY,
+    OPT_USER_CONNECTIONS,
+    OPT_USER_REQUESTS,
+    OPT_USER_BYTES,
     OPT_LIFETIME,
     OPT_WALL,
     OPT_WARM,
@@ -102,6 +114,10 @@ static const struct option options_known[] = {
     { "max-requests", required_argument, NULL, OPT_REQUESTS },
     { "timeout-s", required_argument, NULL, OPT_TIMEOUT },
     { "asset-bytes", required_argument, NULL, OPT_ASSETS },
+    { "memory-bytes", required_argument, NULL, OPT_MEMORY },
+    { "user-connections", required_argument, NULL, OPT_USER_CONNECTIONS },
+    { "user-requests", required_argument, NULL, OPT_USER_REQUESTS },
+    { "user-bytes", required_argument, NULL, OPT_USER_BYTES },
     { "lifetime-fd", required_argument, NULL, OPT_LIFETIME },
     { "wall", required_argument, NULL, OPT_WALL },
     { "warm", required_argument, NULL, OPT_WARM },
@@ -143,6 +159,10 @@ static void take_option(struct options *o, int id, const char *arg)
     case OPT_REQUESTS: o->max_requests = number("max-requests", arg, 1, 4096); break;
     case OPT_TIMEOUT: o->timeout_s = number("timeout-s", arg, 1, 86400); break;
     case OPT_ASSETS: o->asset_bytes = number("asset-bytes", arg, 4096, UINT64_C(1) << 40); break;
+    case OPT_MEMORY: o->memory_bytes = number("memory-bytes", arg, 4096, UINT64_C(1) << 44); break;
+    case OPT_USER_CONNECTIONS: o->user_connections = number("user-connections", arg, 1, 65536); break;
+    case OPT_USER_REQUESTS: o->user_requests = number("user-requests", arg, 1, 65536); break;
+    case OPT_USER_BYTES: o->user_bytes = number("user-bytes", arg, 4096, UINT64_C(1) << 44); break;
     case OPT_LIFETIME:
         o->lifetime_fd = (int)number("lifetime-fd", arg, 0, INT_MAX);
         if (fcntl(o->lifetime_fd, F_SETFD, FD_CLOEXEC) < 0) {
@@ -220,12 +240,44 @@ static unsigned cpus(void)
     return n > SCHED_THREADS_MAX ? SCHED_THREADS_MAX : (unsigned)n;
 }
 
+/*
+ * The ceiling, shared out: caches and the program itself; payloads that come inline; payloads that are read; all that is at work. Each
+ * pool of payloads takes the largest frame at least, so that nothing that may be sent can never be taken. Exits when too little is left.
+ */
+static void share_memory(struct server_config *c, const struct options *o, uint64_t all)
+{
+    // The device's driver and its code; chunks that the codec keeps for the next frame (exr_arena.c).
+    const uint64_t ceiling = o->memory_bytes ? o->memory_bytes : all / 4 * 3, sixth = ceiling / 6;
+    const uint64_t program = UINT64_C(256) << 20, chunks = least(UINT64_C(512) << 20, ceiling / 8);
+    const uint64_t frame = o->max_frame_bytes ? o->max_frame_bytes : least(UINT64_C(2) << 30, ceiling / 8);
+    const uint64_t inline_bytes = most(frame, sixth), load = most(frame, sixth);
+    c->memory_bytes = ceiling;
+    c->limits.max_frame_bytes = frame;
+    c->idle_bytes_max = least(UINT64_C(1) << 30, ceiling / 16);
+    c->asset_bytes_max = o->asset_bytes ? o->asset_bytes : least(UINT64_C(256) << 20, ceiling / 16);
+    // An image that is to be kept is decoded beside those that are.
+    c->reserved_bytes = program + chunks + c->idle_bytes_max + 2 * c->asset_bytes_max;
+    const uint64_t rest = c->reserved_bytes + inline_bytes + load, little = UINT64_C(16) << 20;
+    if (ceiling < rest + little) {
+        fprintf(stderr, "airyd: --memory-bytes: %llu; expected at least %llu with this --max-frame-bytes and --asset-bytes\n",
+                (unsigned long long)ceiling, (unsigned long long)(rest + little));
+        exit(EXIT_USAGE);
+    }
+    const uint64_t work = ceiling - rest, user = o->user_bytes ? o->user_bytes : UINT64_MAX;
+    exr_cache_limit(chunks);
+    c->held_bytes_max = inline_bytes;
+    c->sched.limits = (struct sched_limits){ .work_bytes = work,
+                                             .load_bytes = load,
+                                             .user_work_bytes = least(user, work / 4 * 3),
+                                             .user_inline_bytes = least(user, most(frame, inline_bytes / 4 * 3)),
+                                             .user_requests = (uint32_t)o->user_requests };
+}
+
 static void configure(struct server_config *c, const struct options *o)
 {
     const char *warm = o->warm ? o->warm : o->lifetime_fd < 0 ? "idle" : "common";
     uint64_t memory = memory_bytes(), gib = UINT64_C(1) << 30;
     uint32_t timeout_ms = (uint32_t)o->timeout_s * 1000;
-    uint64_t frame = o->max_frame_bytes ? o->max_frame_bytes : least(2 * gib, memory / 4);
     *c = (struct server_config){
         .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
                    .slots = (unsigned)o->slots,
@@ -233,19 +285,15 @@ static void configure(struct server_config *c, const struct options *o)
                                .warm_all = !strcmp(warm, "all"), .log = say },
                    .warm_idle = !strcmp(warm, "idle"),
                    .log = say },
-        .limits = { .max_frame_bytes = frame,
-                    .exr = { .max_width = 16384,
+        .limits = { .exr = { .max_width = 16384,
                              .max_height = 16384,
                              .max_pixels = least(UINT64_C(16384) * 16384, memory / 48),
                              .max_decoded_bytes = memory / 4 } },
-        // The largest frame must fit, or nobody could ever send it.
-        .credit_bytes = most(frame, least(gib, memory / 8)),
-        .held_bytes_max = most(frame, memory / 3),
-        .asset_bytes_max = o->asset_bytes,
-        .idle_bytes_max = least(gib, memory / 16),
         .max_requests = (uint32_t)o->max_requests,
         .max_clients = (unsigned)o->max_clients,
         .max_jobs = jobs_for(o->max_clients),
+        .user_connections = o->user_connections ? (unsigned)o->user_connections
+                                                : (unsigned)least(o->max_clients, most(16, o->max_clients / 4 * 3)),
         .timeouts = { .hello = timeout_ms, .write = timeout_ms, .upload = timeout_ms, .linger = 1000 },
         .n_walls = o->n_walls,
         .lifetime_fd = o->lifetime_fd,
@@ -253,6 +301,9 @@ static void configure(struct server_config *c, const struct options *o)
         .verbose = o->verbose,
     };
     memcpy(c->wall, o->wall, sizeof c->wall);
+    share_memory(c, o, memory);
+    // The largest frame must fit, or nobody could ever send it.
+    c->credit_bytes = most(c->limits.max_frame_bytes, least(gib, c->memory_bytes / 8));
 }
 
 static int open_listener(struct listener *l, const struct options *o, struct fault *f)
@@ -306,7 +357,8 @@ static int run(const struct options *o)
 int main(int argc, char **argv)
 {
     struct options o = {
-        .slots = 3, .max_clients = 1024, .max_requests = 64, .timeout_s = 60, .asset_bytes = UINT64_C(256) << 20, .lifetime_fd = -1
+        .slots = 3, .max_clients = 1024, .max_requests = 64, .timeout_s = 60, .user_requests = 1024,
+        .lifetime_fd = -1
     };
     read_options(&o, argc, argv);
     return run(&o);

@@ -7,6 +7,9 @@
 #include <time.h>
 #include <unistd.h>
 
+const char *const metrics_stage_name[METRICS_STAGES] = { "queue", "load", "decode", "bloom", "encode", "total" };
+const double metrics_bucket_ms[METRICS_BUCKETS] = { 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 20000 };
+
 uint64_t clock_ns(void)
 {
     struct timespec t;
@@ -19,8 +22,20 @@ void metrics_init(struct metrics *m)
     *m = (struct metrics){ .start_ns = clock_ns() };
 }
 
+static void histogram_note(struct metrics_histogram *h, double ms)
+{
+    unsigned i = 0;
+    while (i < METRICS_BUCKETS && ms > metrics_bucket_ms[i])
+        i++;
+    h->count[i]++;
+    h->sum_ms += ms;
+}
+
 void metrics_note(struct metrics *m, const struct stage_times *t)
 {
+    const double ms[METRICS_STAGES] = { t->queue, t->load, t->decode, t->bloom, t->encode, t->total };
+    for (unsigned i = 0; i < METRICS_STAGES; i++)
+        histogram_note(&m->histogram[i], ms[i]);
     m->recent[m->recent_count++ % METRICS_RECENT] = *t;
 }
 

@@ -58,7 +58,7 @@ static void device(Airy__Device *out, const struct bloom_device_info *d)
 int reply_welcome(struct conn *c, const struct reply_facts *facts)
 {
     static char *features[] = { "exr", "raw", "inline", "memfd", "file", "buffer", "progress",
-                                "asset", "plan", "wall" };
+                                "asset", "plan", "wall", "priority", "deadline" };
     Airy__Welcome w = AIRY__WELCOME__INIT;
     Airy__Limits l = AIRY__LIMITS__INIT;
     Airy__Device d;
@@ -79,15 +79,74 @@ int reply_welcome(struct conn *c, const struct reply_facts *facts)
     return body_send(c, WIRE_WELCOME, 0, &w.base, NULL, 0);
 }
 
+static void memory(Airy__MemoryState *o, const struct reply_memory *m, const struct reply_status *s)
+{
+    airy__memory_state__init(o);
+    o->ceiling = m->ceiling;
+    o->reserved = m->reserved;
+    o->payloads = s->inline_bytes;
+    o->loads = s->sched.load_bytes;
+    o->work = s->sched.work_bytes;
+    o->work_peak = s->sched.work_peak_bytes;
+    o->payloads_max = m->inline_max;
+    o->loads_max = m->load_max;
+    o->work_max = m->work_max;
+}
+
+static void user(Airy__UserState *o, const struct sched_user_facts *u)
+{
+    airy__user_state__init(o);
+    o->uid = u->uid;
+    o->connections = u->connections;
+    o->requests = u->requests;
+    o->queued = u->queued;
+    o->running = u->running;
+    o->fds = u->fds;
+    o->bytes = u->bytes;
+    o->device_ms = u->device_ms;
+}
+
+struct lists { // of a status; what the message points to
+    Airy__UserState user[SCHED_USERS_SHOWN], *users[SCHED_USERS_SHOWN];
+    Airy__StageHistogram stage[METRICS_STAGES], *stages[METRICS_STAGES];
+};
+
+static void lists(Airy__StatusReply *r, struct lists *l, const struct reply_status *s)
+{
+    const struct metrics *m = s->metrics;
+    for (unsigned i = 0; i < s->n_users; i++) {
+        user(&l->user[i], &s->user[i]);
+        l->users[i] = &l->user[i];
+    }
+    for (unsigned i = 0; i < METRICS_STAGES; i++) {
+        airy__stage_histogram__init(&l->stage[i]);
+        l->stage[i].stage = (char *)metrics_stage_name[i];
+        l->stage[i].counts = (uint64_t *)m->histogram[i].count;
+        l->stage[i].n_counts = METRICS_BUCKETS + 1;
+        l->stage[i].sum_ms = m->histogram[i].sum_ms;
+        l->stages[i] = &l->stage[i];
+    }
+    r->users = l->users;
+    r->n_users = s->n_users;
+    r->stages = l->stages;
+    r->n_stages = METRICS_STAGES;
+    r->bucket_ms = (double *)metrics_bucket_ms;
+    r->n_bucket_ms = METRICS_BUCKETS;
+}
+
 int reply_status(struct conn *c, uint64_t id, const struct reply_facts *facts, const struct reply_status *s)
 {
     const struct metrics *m = s->metrics;
     Airy__StatusReply r = AIRY__STATUS_REPLY__INIT;
+    Airy__MemoryState mem;
     Airy__StageTimes ms;
     Airy__Device d;
+    struct lists l;
     struct stage_times mean = metrics_mean(m);
     device(&d, &facts->device);
     times(&ms, &mean);
+    memory(&mem, &facts->memory, s);
+    lists(&r, &l, s);
     r.server = SERVER_NAME;
     r.device = &d;
     r.uptime_s = (double)(clock_ns() - m->start_ns) / 1e9;
@@ -103,6 +162,10 @@ int reply_status(struct conn *c, uint64_t id, const struct reply_facts *facts, c
     r.rss_bytes = metrics_rss_bytes();
     r.mean_ms = &ms;
     r.draining = s->draining;
+    r.memory = &mem;
+    r.loop_turns = m->loop_turns;
+    r.loop_worst_ms = m->loop_worst_ms;
+    r.refused_busy = m->refused_busy;
     return body_send(c, WIRE_STATUS_REPLY, id, &r.base, NULL, 0);
 }
 

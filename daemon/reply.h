@@ -12,10 +12,15 @@
 #include "job.h"
 #include "scheduler.h"
 
+struct reply_memory { /* bytes; see --memory-bytes */
+    uint64_t ceiling, reserved, inline_max, load_max, work_max;
+};
+
 struct reply_facts { /* about the daemon; constant */
     struct job_limits job;
     uint64_t credit_bytes;
     uint32_t max_requests;
+    struct reply_memory memory;
     struct bloom_device_info device;
 };
 
@@ -23,6 +28,9 @@ struct reply_status {
     unsigned clients;
     struct sched_counts sched;
     const struct metrics *metrics;
+    uint64_t inline_bytes;
+    unsigned n_users;
+    struct sched_user_facts user[SCHED_USERS_SHOWN];
     bool draining;
 };
 

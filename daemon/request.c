@@ -294,12 +294,23 @@ static int read_wall(struct job *j, const Airy__WallTarget *w, struct fault *f)
     return job_wall_check(j, f);
 }
 
+enum { PRIORITY_MAX = 10 };
+
+static int read_turn(struct job *j, const Airy__Bloom *b, struct fault *f)
+{
+    if (b->priority < -PRIORITY_MAX || b->priority > PRIORITY_MAX)
+        return fault_set(f, FAULT_PARAM_RANGE, "priority", "%d; expected -%d to %d", (int)b->priority, PRIORITY_MAX, PRIORITY_MAX);
+    j->priority = b->priority;
+    j->deadline_ms = b->deadline_ms;
+    return 0;
+}
+
 int request_read(struct job *j, const Airy__Bloom *b, const int *fds, unsigned n_fds, struct fault *f)
 {
     struct fd_list list = { .fds = fds, .n = n_fds };
     int rc = -1;
     j->kind = b->plan_only ? JOB_PLANS : JOB_BLOOMS;
-    if (read_params(j, b, f) < 0 || read_input(j, b->input, &list, f) < 0 || read_format(j, b, f) < 0 ||
+    if (read_turn(j, b, f) < 0 || read_params(j, b, f) < 0 || read_input(j, b->input, &list, f) < 0 || read_format(j, b, f) < 0 ||
         read_wall(j, b->wall, f) < 0 || read_output(j, b->output, &list, f) < 0 || fds_used(&list, f) < 0)
         goto done;
     j->wants_progress = b->progress;

@@ -46,45 +46,6 @@ static void wake_pool(struct sched_lane *l)
     pthread_cond_broadcast(&l->sched->pool_wake);
 }
 
-// ---- slots -----------------------------------------------------------------------------------------
-
-static bool same_geometry(const struct sched_slot *slot, unsigned count, const struct bloom_geometry *g)
-{
-    if (!slot->prepared || slot->count != count)
-        return false;
-    for (unsigned i = 0; i < count; i++)
-        if (!bloom_geometry_same(&g[i], &slot->geometry[i]))
-            return false;
-    return true;
-}
-
-// A free slot, best one that fits as it is: then the device thread need not be asked. True when it does.
-static bool slot_take(struct sched_lane *l, struct job *j)
-{
-    struct bloom_geometry g[BLOOM_TARGETS_MAX];
-    unsigned count = job_geometry(j, g);
-    struct sched_slot *found = NULL;
-    bool fits = false;
-    for (unsigned i = 0; i < l->slots && !fits; i++) {
-        struct sched_slot *slot = &l->slot[i];
-        if (slot->job)
-            continue;
-        fits = same_geometry(slot, count, g);
-        // An empty one before one that serves another size.
-        if (fits || !found || (found->prepared && !slot->prepared))
-            found = slot;
-    }
-    assert(found); // no more are admitted than there are slots
-    found->job = j;
-    j->slot = found;
-    if (!fits) {
-        found->prepared = false;
-        found->count = count;
-        memcpy(found->geometry, g, count * sizeof g[0]);
-    }
-    return fits;
-}
-
 // Ends the job's time between OPEN and ENCODE.
 static void slot_leave(struct sched_lane *l, struct job *j)
 {
@@ -92,6 +53,7 @@ static void slot_leave(struct sched_lane *l, struct job *j)
         j->slot->job = NULL;
     j->slot = NULL;
     l->admitted--;
+    sched_room_freed(l->sched);
     wake_pool(l);
 }
 
@@ -124,6 +86,9 @@ static void enter(struct sched *s, struct job *j, enum job_stage stage)
         event(s);
     if (stage == JOB_DONE) {
         l->running--;
+        // Of an inline result its bytes stay until the client has read them; a memfd is the client's.
+        room_give(s, j, j->finished && j->output.kind == PAYLOAD_INLINE ? j->output.size : 0);
+        fair_settle(s, j);
         link_job(&s->done, j);
         event(s);
         return;
@@ -136,13 +101,23 @@ static void enter(struct sched *s, struct job *j, enum job_stage stage)
         wake_pool(l);
 }
 
-// What it needs is known: planes, or first those of the right size.
+static void too_large(struct sched *s, struct job *j)
+{
+    uint64_t bytes;
+    sched_fits(s, j, &bytes);
+    fault_set(&j->fault, FAULT_LIMIT, "input", "%llu bytes of memory for this frame; at most %llu are taken",
+              (unsigned long long)bytes, (unsigned long long)s->limits.work_bytes);
+}
+
+// What it needs is known: planes, or first those of the right size; or, OPEN again: first room.
 static enum job_stage to_planes(struct sched_lane *l, struct job *j)
 {
-    if (!slot_take(l, j))
-        return JOB_PREPARE;
-    job_bind(j, j->slot->in, j->slot->out);
-    return JOB_DECODE;
+    switch (room_take(l, j)) {
+    case ROOM_READY: job_bind(j, j->slot->in, j->slot->out); return JOB_DECODE;
+    case ROOM_PREPARE: return JOB_PREPARE;
+    case ROOM_NEVER: too_large(l->sched, j); return JOB_FINISH;
+    default: return JOB_OPEN;
+    }
 }
 
 static enum job_stage next_stage(struct sched_lane *l, struct job *j)
@@ -177,25 +152,58 @@ static void note_time(struct job *j)
     }
 }
 
+static void park(struct sched_lane *l, struct job *j)
+{
+    j->parked = true;
+    link_job(&l->parked, j);
+}
+
 // The stage's last task is done, or the job is to end and none of its tasks runs.
 static void advance(struct sched *s, struct job *j)
 {
+    struct sched_lane *l = lane_of(s, j);
     for (;;) {
         note_time(j);
-        enum job_stage next = ending(j) && j->stage != JOB_FINISH ? JOB_FINISH : next_stage(lane_of(s, j), j);
+        enum job_stage next = ending(j) && j->stage != JOB_FINISH ? JOB_FINISH : next_stage(l, j);
+        if (next == JOB_OPEN) {
+            park(l, j);
+            return;
+        }
         enter(s, j, next);
         // A stage may have no task at all: every chunk is copied as it is.
         if (next == JOB_DONE || j->tasks)
             return;
-        unlink_job(&lane_of(s, j)->stage[next], j);
+        unlink_job(&l->stage[next], j);
+    }
+}
+
+// In their order: none overtakes one that needs more.
+void sched_room_freed(struct sched *s)
+{
+    for (unsigned i = 0; i < LANES; i++) {
+        struct sched_lane *l = &s->lane[i];
+        struct job *j;
+        while ((j = TAILQ_FIRST(&l->parked))) {
+            unlink_job(&l->parked, j);
+            j->parked = false;
+            j->stage_ns = clock_ns(); // waiting is not the stage's time
+            advance(s, j);
+            if (!j->parked)
+                continue;
+            TAILQ_REMOVE(&l->parked, j, link);
+            TAILQ_INSERT_HEAD(&l->parked, j, link);
+            break;
+        }
     }
 }
 
 // No more tasks of this stage are claimed.
 static void withdraw(struct sched *s, struct job *j)
 {
+    struct sched_lane *l = lane_of(s, j);
     if (j->linked)
-        unlink_job(&lane_of(s, j)->stage[j->stage], j);
+        unlink_job(j->parked ? &l->parked : &l->stage[j->stage], j);
+    j->parked = false;
     j->next_task = j->tasks;
 }
 
@@ -216,32 +224,11 @@ static struct job *claim_from(struct sched_lane *l, enum job_stage stage, unsign
     return j;
 }
 
-// The turn goes on behind whoever was served: first the user, then the user's connection.
-static struct job *fair_pop(struct sched *s)
-{
-    struct sched_user *u;
-    TAILQ_FOREACH(u, &s->users, link)
-    {
-        struct sched_flow *flow;
-        TAILQ_FOREACH(flow, &u->flows, of_user)
-        {
-            struct job *j = TAILQ_FIRST(&flow->waiting);
-            if (!j)
-                continue;
-            unlink_job(&flow->waiting, j);
-            TAILQ_REMOVE(&u->flows, flow, of_user);
-            TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
-            TAILQ_REMOVE(&s->users, u, link);
-            TAILQ_INSERT_TAIL(&s->users, u, link);
-            return j;
-        }
-    }
-    return NULL;
-}
-
 static void admit(struct sched_lane *l, struct job *j)
 {
     l->n_waiting--;
+    l->sched->deadlines -= j->deadline_ns != 0;
+    room_turn(l->sched, j);
     l->running++;
     l->admitted++;
     j->admitted_ns = clock_ns();
@@ -264,6 +251,17 @@ static struct job *wall_pop(struct sched_lane *l)
     return j;
 }
 
+// While one waits for room nobody else gets a turn, or large frames would wait for ever.
+static struct job *frame_pop(struct sched *s)
+{
+    if (!TAILQ_EMPTY(&s->lane[LANE_FRAMES].parked))
+        return NULL;
+    struct job *j = fair_first(s, room_may_turn);
+    if (j)
+        fair_take(s, j);
+    return j;
+}
+
 static struct job *claim_in(struct sched_lane *l, unsigned *task)
 {
     static const enum job_stage latest_first[] = { JOB_ENCODE, JOB_BEGIN, JOB_DECODE, JOB_OPEN };
@@ -274,7 +272,7 @@ static struct job *claim_in(struct sched_lane *l, unsigned *task)
         if ((j = claim_from(l, latest_first[i], task)))
             return j;
     if (l->admitted >= l->slots || !l->n_waiting ||
-        !(j = l->name == LANE_WALLS ? wall_pop(l) : fair_pop(l->sched)))
+        !(j = l->name == LANE_WALLS ? wall_pop(l) : frame_pop(l->sched)))
         return NULL;
     admit(l, j);
     j = claim_from(l, JOB_FINISH, task);
@@ -344,6 +342,8 @@ void sched_rewind_all(struct sched_lane *l, const struct fault *f)
         struct job *j = l->slot[i].job;
         l->slot[i].job = NULL;
         l->slot[i].prepared = false;
+        if (!i)
+            room_lost(l);
         if (!j)
             continue;
         withdraw(l->sched, j);
@@ -362,58 +362,42 @@ void sched_rewind_all(struct sched_lane *l, const struct fault *f)
 
 // ---- from the socket thread --------------------------------------------------------------------------
 
-int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid)
-{
-    *flow = (struct sched_flow){ 0 };
-    TAILQ_INIT(&flow->waiting);
-    pthread_mutex_lock(&s->lock);
-    struct sched_user *u;
-    TAILQ_FOREACH(u, &s->users, link)
-    if (u->uid == uid)
-        break;
-    if (!u && (u = calloc(1, sizeof *u))) {
-        u->uid = uid;
-        TAILQ_INIT(&u->flows);
-        TAILQ_INSERT_TAIL(&s->users, u, link);
-    }
-    if (u) {
-        u->flows_open++;
-        flow->user = u;
-        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
-    }
-    pthread_mutex_unlock(&s->lock);
-    return u ? 0 : -ENOMEM;
-}
-
-void sched_flow_close(struct sched *s, struct sched_flow *flow)
-{
-    struct sched_user *u = flow->user;
-    if (!u)
-        return;
-    pthread_mutex_lock(&s->lock);
-    assert(TAILQ_EMPTY(&flow->waiting));
-    TAILQ_REMOVE(&u->flows, flow, of_user);
-    if (--u->flows_open == 0) {
-        TAILQ_REMOVE(&s->users, u, link);
-        free(u);
-    }
-    flow->user = NULL;
-    pthread_mutex_unlock(&s->lock);
-}
-
 void sched_submit(struct sched *s, struct sched_flow *flow, struct job *j)
 {
     pthread_mutex_lock(&s->lock);
+    assert(j->user == flow->user);
     j->accepted_ns = clock_ns();
+    j->deadline_ns = j->deadline_ms ? j->accepted_ns + j->deadline_ms * UINT64_C(1000000) : 0;
+    s->deadlines += j->deadline_ns != 0;
     j->flow = flow;
     j->stage = JOB_WAITING;
     struct sched_lane *l = lane_of(s, j);
-    link_job(j->walled ? &l->waiting : &flow->waiting, j);
+    if (j->walled)
+        link_job(&l->waiting, j);
+    else
+        fair_push(s, flow, j);
     l->n_waiting++;
     if (j->walled)
         pthread_cond_signal(&s->wall_wake);
     pthread_cond_signal(&s->pool_wake);
     pthread_mutex_unlock(&s->lock);
+}
+
+// It never had a turn. Freeing it is the pool's: it may hold a file whose close blocks.
+static void end_waiting(struct sched *s, struct job *j)
+{
+    struct sched_lane *l = lane_of(s, j);
+    if (j->walled) {
+        unlink_job(&l->waiting, j);
+    } else {
+        fair_remove(j);
+        j->user->running++;
+        j->flow->running++;
+    }
+    s->deadlines -= j->deadline_ns != 0;
+    l->n_waiting--;
+    l->running++;
+    enter(s, j, JOB_FINISH);
 }
 
 void sched_cancel(struct sched *s, struct job *j)
@@ -424,19 +408,49 @@ void sched_cancel(struct sched *s, struct job *j)
     if (was || stage >= JOB_FINISH) {
         // already on its way out
     } else if (stage == JOB_WAITING) {
-        // Freeing it is the pool's: it may hold a file whose close blocks.
-        struct sched_lane *l = lane_of(s, j);
-        unlink_job(j->walled ? &l->waiting : &j->flow->waiting, j);
-        l->n_waiting--;
-        l->running++;
-        enter(s, j, JOB_FINISH);
+        end_waiting(s, j);
     } else {
         withdraw(s, j);
         if (!j->running)
             advance(s, j);
     }
-    j->flow = NULL;
+    fair_leave_flow(j);
     pthread_mutex_unlock(&s->lock);
+}
+
+// One queue's late jobs end; returns the earliest deadline of the others, or `next`.
+static uint64_t expire_queue(struct sched *s, struct job_queue *q, uint64_t now_ns, uint64_t next)
+{
+    struct job *j, *after;
+    for (j = TAILQ_FIRST(q); j; j = after) {
+        after = TAILQ_NEXT(j, link);
+        if (!j->deadline_ns)
+            continue;
+        if (j->deadline_ns > now_ns) {
+            next = !next || j->deadline_ns < next ? j->deadline_ns : next;
+            continue;
+        }
+        fault_set(&j->fault, FAULT_DEADLINE, "deadline_ms", "it waited for its turn for %.1f ms; at most %u were given",
+                  (double)(now_ns - j->accepted_ns) / 1e6, j->deadline_ms);
+        end_waiting(s, j);
+    }
+    return next;
+}
+
+uint64_t sched_expire(struct sched *s, uint64_t now_ns)
+{
+    uint64_t next = 0;
+    pthread_mutex_lock(&s->lock);
+    if (s->deadlines) {
+        struct sched_user *u;
+        struct sched_flow *flow;
+        next = expire_queue(s, &s->lane[LANE_WALLS].waiting, now_ns, next);
+        TAILQ_FOREACH(u, &s->users, link)
+        TAILQ_FOREACH(flow, &u->flows, of_user)
+        next = expire_queue(s, &flow->waiting, now_ns, next);
+    }
+    pthread_mutex_unlock(&s->lock);
+    return next;
 }
 
 struct job *sched_done(struct sched *s)
@@ -462,7 +476,10 @@ void sched_event_clear(struct sched *s)
 struct sched_counts sched_counts(struct sched *s)
 {
     pthread_mutex_lock(&s->lock);
-    struct sched_counts c = { .device_dead = s->lane[LANE_FRAMES].dead };
+    struct sched_counts c = { .load_bytes = s->room.load,
+                              .work_bytes = s->room.work,
+                              .work_peak_bytes = s->room.work_peak,
+                              .device_dead = s->lane[LANE_FRAMES].dead };
     for (unsigned i = 0; i < LANES; i++) {
         c.waiting += s->lane[i].n_waiting;
         c.running += s->lane[i].running;
@@ -515,6 +532,7 @@ static void lane_init(struct sched *s, enum sched_lane_name name, unsigned slots
     pthread_cond_init(&l->device_wake, NULL);
     pthread_cond_init(&l->quiet, NULL);
     TAILQ_INIT(&l->waiting);
+    TAILQ_INIT(&l->parked);
     TAILQ_INIT(&l->order);
     for (unsigned i = 0; i < JOB_STAGES; i++)
         TAILQ_INIT(&l->stage[i]);
@@ -528,7 +546,8 @@ int sched_create(struct sched **out, const struct sched_config *config, struct f
     pthread_mutex_init(&s->lock, NULL);
     pthread_cond_init(&s->pool_wake, NULL);
     pthread_cond_init(&s->wall_wake, NULL);
-    TAILQ_INIT(&s->users);
+    s->limits = config->limits;
+    fair_init(s);
     TAILQ_INIT(&s->done);
     for (unsigned i = 0; i < LANES; i++)
         lane_init(s, (enum sched_lane_name)i, config->slots);
@@ -562,6 +581,7 @@ static void queue_drop(struct job_queue *q)
 static void lane_finish(struct sched_lane *l)
 {
     queue_drop(&l->waiting);
+    queue_drop(&l->parked);
     for (unsigned i = 0; i < JOB_STAGES; i++)
         queue_drop(&l->stage[i]);
     bloom_destroy(l->bloom);
@@ -577,6 +597,7 @@ void sched_destroy(struct sched *s)
     for (unsigned i = 0; i < LANES; i++)
         lane_finish(&s->lane[i]);
     queue_drop(&s->done);
+    users_finish(s);
     if (s->event_fd >= 0)
         close(s->event_fd);
     pthread_cond_destroy(&s->wall_wake);

@@ -2,9 +2,9 @@
 /*
  * scheduler.h - who is next, and the threads that do the work: one device thread, a pool of codec threads.
  *
- * Waiting jobs are first in, first out within a connection; connections of one user take turns, and users
- * take turns, so that one who sends much delays others by one frame at most per turn. `slots` bounds
- * how many jobs are between OPEN and the end of ENCODE. The pool takes the latest stage first, so that
+ * Users get equal shares of the device's time, and a user's connections equal shares of the user's (scheduler_fair.c); within a user jobs of
+ * higher priority go first, else first in, first out in a connection. A job has its turn when its user does and there is room for it in
+ * memory (scheduler_room.c). `slots` bounds how many jobs are between OPEN and the end of ENCODE. The pool takes the latest stage first, so that
  * the pipeline drains: frame n-1 is encoded, then n+1 decoded, while n is on the device.
  *
  * (Named so, not sched.h: with this folder on the include path it would hide the system's.)
@@ -26,8 +26,17 @@ struct sched;
 
 enum { SCHED_THREADS_MAX = 256, SCHED_SLOTS_MAX = 8 };
 
+struct sched_limits { /* none is 0 */
+    uint64_t work_bytes;        /* of planes, codec, results, the engine's levels */
+    uint64_t load_bytes;        /* of payloads that are read from descriptors; one alone may be larger */
+    uint64_t user_work_bytes;   /* a user that has so much of work_bytes gets no further turn */
+    uint64_t user_inline_bytes; /* payloads that came inline, of a user */
+    uint32_t user_requests;
+};
+
 struct sched_config {
     unsigned threads, slots;
+    struct sched_limits limits;
     struct bloom_options device; /* `slots` of it is filled in here */
     bool warm_idle; /* pipelines that have not drawn at the start draw whenever the device has nothing to do */
     void (*log)(const char *line);
@@ -38,7 +47,9 @@ struct sched_user;
 struct sched_flow { /* one connection's line; embedded in its owner */
     struct sched_user *user;
     TAILQ_ENTRY(sched_flow) of_user;
-    struct job_queue waiting;
+    struct job_queue waiting; /* highest priority first */
+    unsigned running;
+    double served_ms, ms_per_unit;
 };
 
 /* Jobs of walls (job->wall) need it, once, before the first: opens their own device in a thread of its own, so that nobody waits; jobs
@@ -52,15 +63,43 @@ const struct bloom_device_info *sched_device(struct sched *s);
 /* Ends the threads: the last thing asked before sched_destroy. */
 unsigned sched_validation_messages(struct sched *s);
 
-/* 0 or -ENOMEM. A flow is closed when none of its jobs waits (sched_cancel each before). */
-int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid);
+/* 0 or -ENOMEM; *connections: of this user, this one included. A flow is closed when none of its jobs waits (sched_cancel each
+ * before). */
+int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid, unsigned *connections);
 void sched_flow_close(struct sched *s, struct sched_flow *flow);
+
+enum sched_verdict { SCHED_TAKEN, SCHED_BUSY, SCHED_LIMIT };
+struct sched_refusal {
+    enum sched_verdict verdict;
+    const char *what;
+    uint64_t found, allowed;
+};
+/* A request counts for its user from here to sched_drop, with the bytes of its inline payload and its descriptors. False and *r: it
+ * would be too much. A job that is to be submitted must be held. */
+bool sched_hold(struct sched *s, struct sched_flow *flow, struct job *j, uint64_t inline_bytes, unsigned fds,
+                struct sched_refusal *r);
+/* Before the job is destroyed, when sched does not have it. Not held is fine. */
+void sched_drop(struct sched *s, struct job *j);
+/* Could it ever be done, when its sizes are known now (a raw picture)? *bytes: what it takes. */
+bool sched_fits(const struct sched *s, const struct job *j, uint64_t *bytes);
+
+enum { SCHED_USERS_SHOWN = 256 };
+struct sched_user_facts {
+    uid_t uid;
+    unsigned connections, requests, queued, running, fds;
+    uint64_t bytes; /* inline payloads, and what its frames at work and its unread results take */
+    double device_ms;
+};
+/* Those that are here first. Returns how many. */
+unsigned sched_users(struct sched *s, struct sched_user_facts out[SCHED_USERS_SHOWN]);
 
 /* The job is sched's until sched_done hands it back. */
 void sched_submit(struct sched *s, struct sched_flow *flow, struct job *j);
 /* The job (submitted, not yet handed back) ends soon: a waiting one at once, one in a stage at its next
  * task. It comes back by sched_done like every other. */
 void sched_cancel(struct sched *s, struct job *j);
+/* Jobs that wait beyond their deadline end with DEADLINE. Returns when the next one does (CLOCK_MONOTONIC), 0: none has one. */
+uint64_t sched_expire(struct sched *s, uint64_t now_ns);
 /* A job that ended, or NULL. The descriptor is readable when one may be there, or a stage changed. */
 struct job *sched_done(struct sched *s);
 int sched_event_fd(const struct sched *s);
@@ -68,6 +107,7 @@ void sched_event_clear(struct sched *s);
 
 struct sched_counts {
     unsigned waiting, running;
+    uint64_t load_bytes, work_bytes, work_peak_bytes;
     bool device_dead; /* that of frames, lost, and could not be had again: nothing more will be bloomed */
 };
 struct sched_counts sched_counts(struct sched *s);

@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * scheduler_private.h - what scheduler.c (queues: pure bookkeeping under the lock) and scheduler_threads.c (the
- * threads) share.
+ * scheduler_private.h - what scheduler.c (queues: pure bookkeeping under the lock), scheduler_fair.c (turns), scheduler_room.c (memory),
+ * scheduler_users.c (who has what) and scheduler_threads.c (the threads) share.
  */
 #ifndef AIRYD_SCHEDULER_PRIVATE_H
 #define AIRYD_SCHEDULER_PRIVATE_H
@@ -13,9 +13,14 @@
 
 struct sched_user {
     uid_t uid;
-    unsigned flows_open;
+    unsigned flows_open, requests, fds; /* fds: of requests */
+    unsigned queued, running;           /* jobs of frames; running: had a turn, not yet done */
+    uint64_t inline_bytes, work;
+    double device_ms;                   /* used so far, walls' included */
+    double served_ms, virtual_ms;       /* virtual_ms: what the flow served last had then */
+    uint64_t idle_ns;
     TAILQ_ENTRY(sched_user) link;
-    TAILQ_HEAD(, sched_flow) flows; /* whose turn it is first */
+    TAILQ_HEAD(, sched_flow) flows; /* served longest ago first */
 };
 
 struct sched_slot {
@@ -24,6 +29,8 @@ struct sched_slot {
     /* What it is (prepared) or is to be prepared for: a job of the same geometry takes planes that are there.
      * Not prepared: the planes are from before, whoever asked for the geometry may have been cancelled. */
     bool prepared;
+    bool drop;               /* its planes are to be freed: nobody takes it */
+    uint64_t bytes, scratch; /* of its planes; of the engine's levels for its job */
     unsigned count;
     struct bloom_geometry geometry[BLOOM_TARGETS_MAX];
     struct planes in[BLOOM_TARGETS_MAX], out[BLOOM_TARGETS_MAX * BLOOM_OUTPUTS_MAX];
@@ -47,6 +54,9 @@ struct sched_lane {
     unsigned n_waiting, running;        /* running: admitted and not yet done */
     unsigned admitted;                  /* between OPEN and the end of ENCODE: at most `slots` */
     unsigned claimed;                   /* tasks that threads of the pool are at, of admitted jobs */
+    struct job_queue parked;            /* of frames: admitted and opened, without room */
+    uint64_t scratch;                   /* bytes of the engine's levels */
+    bool drop_scratch;
     bool hold;                          /* nothing but FINISH is claimed */
     bool dead;                          /* its device is lost, and could not be had again */
     unsigned slots;
@@ -63,7 +73,14 @@ struct sched_lane {
 struct sched {
     pthread_mutex_t lock;
     pthread_cond_t pool_wake, wall_wake; /* wall_wake: the walls' own thread */
-    TAILQ_HEAD(, sched_user) users; /* whose turn it is first */
+    struct sched_limits limits;
+    struct {
+        uint64_t load, work, work_peak;
+        bool keeping; /* an image that is to be kept is decoded: one at a time */
+    } room;
+    TAILQ_HEAD(, sched_user) users; /* served longest ago first */
+    double virtual_ms, ms_per_unit; /* virtual_ms: what the user served last had then */
+    unsigned deadlines;             /* jobs that wait with one */
     struct job_queue done;
     bool stopping;
     struct sched_lane lane[LANES];
@@ -83,6 +100,34 @@ struct job *sched_claim(struct sched *s, bool walls_only, unsigned *task);
 void sched_complete(struct sched *s, struct job *j, unsigned task, int rc, const struct fault *f);
 struct job *sched_device_next(struct sched_lane *l); /* in PLAN, PREPARE or BLOOM; off its queue, running */
 void sched_rewind_all(struct sched_lane *l, const struct fault *f);
+
+void sched_room_freed(struct sched *s); /* parked jobs go on */
+
+/* scheduler_fair.c. Waiting jobs of frames; their user and flow are set. */
+void fair_init(struct sched *s);
+void fair_push(struct sched *s, struct sched_flow *flow, struct job *j);
+void fair_remove(struct job *j); /* without a turn */
+/* Whose turn it is, of the users whose first job `may`; NULL: nobody's. */
+struct job *fair_first(struct sched *s, bool (*may)(struct sched *s, const struct job *j));
+void fair_take(struct sched *s, struct job *j);
+void fair_leave_flow(struct job *j); /* its connection is forgotten */
+void fair_settle(struct sched *s, struct job *j); /* it is done */
+
+/* scheduler_users.c */
+void users_finish(struct sched *s);
+
+/* scheduler_room.c */
+enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_NEVER };
+bool room_may_turn(struct sched *s, const struct job *j);
+void room_turn(struct sched *s, struct job *j);
+/* A slot and all the memory for an opened job; nothing on WAIT and NEVER. */
+enum room_verdict room_take(struct sched_lane *l, struct job *j);
+void room_give(struct sched *s, struct job *j, uint64_t keep); /* all but so much of its work */
+/* What the device thread is to free: a bit a slot, and the levels. */
+bool room_drops(const struct sched_lane *l);
+unsigned room_drop_begin(const struct sched_lane *l, bool *scratch);
+void room_drop_end(struct sched_lane *l, unsigned mask, bool scratch);
+void room_lost(struct sched_lane *l); /* the device is gone */
 
 /* scheduler_threads.c */
 int sched_threads_start(struct sched *s, unsigned threads, struct fault *f);

@@ -139,11 +139,30 @@ static void warm_step(struct sched_lane *l)
     }
 }
 
+// Under the lock. Planes that nobody uses make room for others.
+static void drop_step(struct sched_lane *l)
+{
+    bool levels;
+    const unsigned mask = room_drop_begin(l, &levels);
+    pthread_mutex_unlock(&l->sched->lock);
+    for (unsigned i = 0; i < l->slots && l->bloom; i++)
+        if (mask >> i & 1)
+            bloom_slot_release(l->bloom, l->slot[i].engine);
+    if (levels && l->bloom)
+        bloom_levels_release(l->bloom);
+    pthread_mutex_lock(&l->sched->lock);
+    room_drop_end(l, mask, levels);
+}
+
 // Under the lock.
 static void device_run(struct sched_lane *l)
 {
     struct sched *s = l->sched;
     while (!s->stopping) {
+        if (room_drops(l)) {
+            drop_step(l);
+            continue;
+        }
         struct job *j = sched_device_next(l);
         if (!j && l->warming) {
             warm_step(l);

@@ -132,7 +132,9 @@ static void client_add(struct server *s, int fd)
         w->client = NULL;
         TAILQ_REMOVE(&s->clients, w, link);
         TAILQ_INSERT_TAIL(&s->dead, w, link);
+        return;
     }
+    client_update(s, w); // it may have been turned away
 }
 
 // With no room for more, those who come wait in the kernel's backlog until the next tick.
@@ -303,12 +305,28 @@ static void watchdog_feed(struct server *s)
     sd_notify(0, stuck ? "WATCHDOG=trigger" : "WATCHDOG=1");
 }
 
-static int wait_ms(const struct server *s)
+// Late jobs end now; how long there is nothing to do but for what comes.
+static int until_next(struct server *s)
 {
+    uint64_t now = clock_ns(), next = sched_expire(s->host.sched, now), wait_ns = UINT64_MAX;
     if (!TAILQ_EMPTY(&s->clients) || (!s->accepting && !s->host.draining))
-        return TICK_MS;
-    uint64_t ms = s->watchdog_ns / FEEDS / 1000000 + 1;
-    return !s->watchdog_ns ? -1 : ms > INT_MAX ? INT_MAX : (int)ms;
+        wait_ns = (uint64_t)TICK_MS * 1000000;
+    if (next && next - now < wait_ns)
+        wait_ns = next - now;
+    if (s->watchdog_ns && s->watchdog_ns / FEEDS < wait_ns)
+        wait_ns = s->watchdog_ns / FEEDS;
+    if (wait_ns == UINT64_MAX)
+        return -1;
+    uint64_t ms = wait_ns / 1000000 + 1;
+    return ms > INT_MAX ? INT_MAX : (int)ms;
+}
+
+static void note_turn(struct server *s, uint64_t from_ns)
+{
+    struct metrics *m = &s->host.metrics;
+    double ms = (double)(clock_ns() - from_ns) / 1e6;
+    m->loop_turns++;
+    m->loop_worst_ms = ms > m->loop_worst_ms ? ms : m->loop_worst_ms;
 }
 
 int server_run(struct server *s)
@@ -316,7 +334,8 @@ int server_run(struct server *s)
     while (!drained(s)) {
         watchdog_feed(s);
         struct epoll_event events[EVENTS_ONCE];
-        int n = epoll_wait(s->epoll_fd, events, EVENTS_ONCE, wait_ms(s));
+        int n = epoll_wait(s->epoll_fd, events, EVENTS_ONCE, until_next(s));
+        uint64_t from_ns = clock_ns();
         if (n < 0 && errno != EINTR) {
             s->log("epoll_wait failed");
             return EXIT_FAILURE;
@@ -325,6 +344,7 @@ int server_run(struct server *s)
             handle(s, events[i].data.ptr, events[i].events);
         tick(s);
         reap(s);
+        note_turn(s, from_ns);
     }
     return s->exit_status;
 }
@@ -377,6 +397,7 @@ static void host_init(struct server *s, const struct server_config *config)
     h->timeout = config->timeouts;
     h->held_bytes_max = config->held_bytes_max;
     h->jobs_max = config->max_jobs;
+    h->user_connections_max = config->user_connections;
     h->log = config->verbose ? config->log : NULL;
     h->job.limits = config->limits;
     h->job.blocks = &h->blocks;
@@ -388,6 +409,11 @@ static void host_init(struct server *s, const struct server_config *config)
     h->facts = (struct reply_facts){ .job = h->job.limits,
                                      .credit_bytes = config->credit_bytes,
                                      .max_requests = config->max_requests,
+                                     .memory = { .ceiling = config->memory_bytes,
+                                                 .reserved = config->reserved_bytes,
+                                                 .inline_max = config->held_bytes_max,
+                                                 .load_max = config->sched.limits.load_bytes,
+                                                 .work_max = config->sched.limits.work_bytes },
                                      .device = *d };
     reply_clean(h->facts.device.name);
     reply_clean(h->facts.device.driver);

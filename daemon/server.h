@@ -16,9 +16,11 @@ struct server;
 struct server_config {
     struct sched_config sched;
     struct job_limits limits; /* widths and heights are lowered to what the device can do */
-    uint64_t credit_bytes, held_bytes_max, idle_bytes_max, asset_bytes_max;
+    uint64_t memory_bytes, reserved_bytes; /* the ceiling, and what of it is not for payloads and frames; the rest is shared out: */
+    uint64_t held_bytes_max;               /* inline payloads; sched.limits has the loads and the work */
+    uint64_t credit_bytes, idle_bytes_max, asset_bytes_max;
     uint32_t max_requests;
-    unsigned max_clients, max_jobs;
+    unsigned max_clients, max_jobs, user_connections;
     struct client_timeouts timeouts;
     const char *wall[WALLS_MAX]; /* files of definitions that are opened at the start */
     unsigned n_walls;

@@ -43,6 +43,7 @@
     X(401, LIMIT, 0, 0, "the request is larger than the limits")                                  \
     X(402, NO_MEMORY, 1, 0, "out of memory")                                                      \
     X(403, WALL_BUSY, 1, 0, "another client's frames are on this wall")                           \
+    X(404, DEADLINE, 1, 0, "the request waited longer than its deadline")                         \
     X(500, INTERNAL, 0, 0, "a fault in the daemon")                                               \
     X(501, DEVICE_LOST, 1, 0, "the Vulkan device was lost")                                       \
     X(502, SHUTTING_DOWN, 1, 0, "the daemon is stopping")

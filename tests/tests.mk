@@ -32,6 +32,10 @@ $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
+# The daemon's own allocations can be refused.
+$(T)/test_server_memory: LDFLAGS += -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=mmap
+$(T)/test_server_limits $(T)/test_server_memory: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+
 # What a wall hands to its boards is recorded in their place.
 $(T)/test_wall_boards: LDFLAGS += -Wl,--wrap=usb_board_add,--wrap=usb_board_remove,--wrap=usb_board_send,--wrap=usb_board_idle,--wrap=usb_board_stats
 
