@@ -9,7 +9,7 @@
 #include <string.h>
 #include <time.h>
 
-#include "bloom_internal.h"
+#include "bloom_host.h"
 #include "look.h"
 
 // Would auto take half where it may? Measured on lavapipe: half the memory and the same time, so float32, which is the more
@@ -277,16 +277,17 @@ static int check_request(const struct frame *fr)
 static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
 {
     struct bloom *b = fr->b;
-    if (choose_storage(fr, r->max_bright) < 0 || prepare_targets(fr) < 0 || (fr->fft && !dark && fft_prepare(fr) < 0))
+    if (choose_storage(fr, r->max_bright) < 0 || (fr->wall_host ? host_prepare(fr, dark) : prepare_targets(fr)) < 0 || (fr->fft && !dark && fft_prepare(fr) < 0))
         return -1;
     struct lit lit;
     if (!dark) {
         fr->most_glow = fr->params->intensity * r->max_bright * (plan_weight(fr) * (1 + 0x1p-10) + plan_bound(fr));
-        fr->lit = !b->whole && bright_lit(fr, &lit) ? &lit : NULL;
+        fr->lit = !b->whole && !fr->wall_host && bright_lit(fr, &lit) ? &lit : NULL;
     }
-    if ((fr->wall_direct ? wall_run(fr, dark) : record_frame(fr, dark)) < 0)
+    if ((fr->wall_host ? wall_run_host(fr, dark) : fr->wall_direct ? wall_run(fr, dark) : record_frame(fr, dark)) < 0)
         return -1;
-    log_profile(b);
+    if (!fr->wall_host)
+        log_profile(b);
     if (dark)
         return 0;
     plan_describe(b, fr->params, r);
@@ -313,6 +314,7 @@ static int run_stated(struct frame *fr, struct bloom_reply *r)
     set_features(fr);
     if (fr->wall_direct)
         fr->wall_level = wall_level(fr->b, fr->b->plan, fr->wall);
+    fr->wall_host = fr->wall_direct && fr->b->vk.cpu && !fr->b->staged && !fr->rich;
     const bool no_plan = fr->fft ? fr->params->psf_spec.weight == 0 : !fr->b->plan->count;
     bool dark = r->max_bright == 0 || no_plan || fr->params->intensity == 0;
     // A wall's shares must agree on what is left out.
@@ -437,6 +439,7 @@ void bloom_destroy(struct bloom *b)
         vkDeviceWaitIdle(b->vk.device);
         ledger_clear(&b->ledger);
         look_destroy(b, b->look);
+        host_destroy(b->host);
         for (unsigned i = 0; i < WALL_KEPT; i++)
             wall_work_destroy(&b->vk, b->wall[i]);
         fft_destroy(b);
