@@ -391,6 +391,50 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     return 0;
 }
 
+/* ---- first frames of a wall ------------------------------------------------------------------------ */
+
+static int warm_run(struct bloom *b, const struct bloom_request *r, struct frame_scan *scan, float luminance, struct fault *f)
+{
+    uint32_t bits;
+    struct bloom_reply reply;
+    memcpy(&bits, &luminance, sizeof(bits));
+    for (uint32_t i = 0; i < scan->tiles_x * scan->tiles_y; i++) {
+        atomic_store(&scan->tile_luma[i], bits);
+        atomic_store(&scan->tile_channel[i], bits);
+    }
+    return bloom_run(b, &b->warm_slot, 0, r, &reply, f);
+}
+
+int bloom_wall_warm(struct bloom *b, const struct bloom_wall *w, const struct params *p, const struct bloom_geometry *geometry,
+                    float pixel_aspect, uint32_t display_width, struct fault *f)
+{
+    struct planes in, out[BLOOM_OUTPUTS_MAX];
+    struct frame_scan scan = { 0 };
+    struct bloom_wall wall = *w;
+    struct bloom_request r = { .params = p, .scan = &scan, .source = -1, .matte = -1, .depth = -1, .wall = &wall,
+                               .pixel_aspect = pixel_aspect, .display_width = display_width };
+    int rc = -1;
+    memcpy(r.luma, frame_rec709, sizeof(r.luma));
+    wall.adapt = NULL;
+    wall.drive = calloc((size_t)w->width * w->height * 3, sizeof(float));
+    const bool no_scan = frame_scan_init(&scan, geometry->width, geometry->height) != 0;
+    if (!wall.drive || no_scan) {
+        fault_set(f, FAULT_NO_MEMORY, "wall", "no memory for a first frame of %u x %u", geometry->width, geometry->height);
+        goto fail;
+    }
+    // The planes are black; what the scan says of them decides which passes are drawn.
+    if (bloom_slot_prepare(b, &b->warm_slot, 1, geometry, &in, out, f) == 0 && warm_run(b, &r, &scan, 1e30f, f) == 0)
+        rc = warm_run(b, &r, &scan, 0, f);
+fail:
+    // As large as a frame, and not needed again.
+    slot_destroy(&b->vk, &b->warm_slot);
+    memset(&b->warm_slot, 0, sizeof(b->warm_slot));
+    if (!no_scan)
+        frame_scan_finish(&scan);
+    free(wall.drive);
+    return rc;
+}
+
 /* ---- life ------------------------------------------------------------------------------------------ */
 
 static int open_device(struct bloom *b, const struct bloom_options *o, struct fault *f)

@@ -113,6 +113,7 @@ static int find_lit(struct host *h, const struct frame *fr)
         h->lit = lit;
         h->tiles_room = tiles;
     }
+    h->wild = !(frame_scan_max_channel(s) * (1 + fr->b->plan->weight_sum) < 1e37);
     h->tiles_x = s->tiles_x;
     h->tiles_y = s->tiles_y;
     for (uint32_t i = 0; i < tiles; i++)
@@ -231,13 +232,16 @@ struct band {
     struct host_run run[HOST_RUNS_MAX];
     float *halved;       /* cell 0 of the row of s0 */
     size_t pitch;
+    bool wild;
     float *split;
 };
 
-static bool band_begin(struct band *k, unsigned band, const struct level *v, unsigned order)
+static bool band_begin(struct band *k, unsigned band, const struct host *of, unsigned level, unsigned order)
 {
+    const struct level *v = &of->level[level];
     const long h = order / 2 - 1, end = (long)v->height + HOST_APRON;
     k->order = order;
+    k->wild = of->wild;
     k->y0 = (long)band * BAND - HOST_APRON;
     k->y1 = k->y0 + BAND < end ? k->y0 + BAND : end;
     k->s0 = 2 * k->y0 - h;
@@ -260,7 +264,8 @@ static void halve_down(const struct band *k, const struct host_plane *to, unsign
             for (long t = 0; t < (long)k->order; t++)
                 row[t] = halved_row(k, 2 * y + t - ((long)k->order / 2 - 1)) + k->run[i].x0;
             host_weigh(out + k->run[i].x0, row, b, k->order, (size_t)(k->run[i].x1 - k->run[i].x0), false);
-            host_hold(out + k->run[i].x0, (size_t)(k->run[i].x1 - k->run[i].x0), 1);
+            if (k->wild)
+                host_hold(out + k->run[i].x0, (size_t)(k->run[i].x1 - k->run[i].x0));
         }
         clear_gaps(out, -HOST_APRON, width + HOST_APRON, k->run, k->runs);
     }
@@ -281,7 +286,7 @@ static void down(const struct frame *fr, unsigned octave, unsigned c, unsigned m
     float *at = h->scratch[member];
     k.split = at + PAD;
     k.halved = at + 2 * PAD + 4 * h->level[0].texels + PSF_TAPS_MAX + LEVEL_MARGIN;
-    for (unsigned i = 0; band_begin(&k, i, v, fr->b->plan->order[octave]); i++) {
+    for (unsigned i = 0; band_begin(&k, i, h, octave + 1, fr->b->plan->order[octave]); i++) {
         k.runs = host_runs(h, octave + 1, k.y0, k.y1, reach_of(octave + 1), k.run);
         const long apron = octave ? HOST_APRON : 0;
         for (long s = k.s0; s < k.s1; s++) {
@@ -364,7 +369,7 @@ static void bright_halved(const struct frame *fr, unsigned band, unsigned member
     struct host_run pixel[HOST_RUNS_MAX];
     struct band of[3];
     float *e[3], *at = h->scratch[member] + PAD, *decoded;
-    const bool any = band_begin(&of[0], band, &h->level[1], fr->b->plan->order[0]);
+    const bool any = band_begin(&of[0], band, h, 1, fr->b->plan->order[0]);
     assert(any);
     (void)any;
     const unsigned pixel_runs = host_runs(h, 0, of[0].s0, of[0].s1, 0, pixel);
@@ -502,8 +507,8 @@ static void sum_gaussians(const struct frame *fr, unsigned c, unsigned member)
         }
     }
     const struct host_plane sum = as_level(&h->sum[held], &h->level[h->finest]);
-    for (long y = -LEVEL_MARGIN; any && y < (long)sum.rows - LEVEL_MARGIN; y++)
-        host_hold(host_row(&sum, c, y) - LEVEL_MARGIN, sum.pitch, 1);
+    for (long y = -LEVEL_MARGIN; any && h->wild && y < (long)sum.rows - LEVEL_MARGIN; y++)
+        host_hold(host_row(&sum, c, y) - LEVEL_MARGIN, sum.pitch);
     if (c == 0)
         h->held = held;
 }

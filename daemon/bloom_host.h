@@ -36,6 +36,7 @@ struct host {
     uint32_t width, height;
     unsigned channels, octaves, finest;
     bool full_size, made;
+    bool wild;                      /* E or its sums may leave float's range */
     struct level level[PSF_LEVELS_MAX + 1];
     struct host_plane e[PSF_LEVELS_MAX + 1];
     struct host_plane sum[2], rows; /* sized for the finest level that has a sum; at[] is read with a level's own pitch */
@@ -66,20 +67,20 @@ void host_weigh(float *out, const float *const *row, const float *w, unsigned co
 void host_weigh_finite(float *out, const float *const *row, const float *w, unsigned count, size_t n, bool more);
 /* out[x] += gain times such a sum. */
 void host_weigh_add(float *out, const float *const *row, const float *w, unsigned count, size_t n, float gain);
-/* v[x] *= gain, held to -FLT_MAX .. FLT_MAX before and after. */
-void host_hold(float *v, size_t n, float gain);
+/* Inf becomes FLT_MAX. */
+void host_hold(float *v, size_t n);
 /* even[i] = in[2 i], odd[i] = in[2 i + 1], and back. */
 void host_unzip(float *even, float *odd, const float *in, size_t n);
 void host_zip(float *out, const float *even, const float *odd, size_t n);
 /* E of n pixels; in and out of `channels` rows. Twin of shaders/curve.glsl. curve: as pass_uniforms.bright. */
 void host_excess(float *const out[3], const float *const in[3], size_t n, unsigned channels, enum bright_curve kind, const float curve[4],
                  const float luma[3]);
-/* Eight rows side by side: out[x * 8 + r] = in[r * pitch + x]; and for each of n columns the sum of w[k] times the eight at
+/* Eight rows side by side: out[x * 8 + r] = in[r * pitch + x] times gain, held to -FLT_MAX .. FLT_MAX before and after; and for each of n columns the sum of w[k] times the eight at
  * first + k, held to float's range, added to what out has or (set) in its place. */
 enum { HOST_ROWS = 8 };
-void host_turn(float *out, const float *in, size_t pitch, size_t n);
+void host_turn(float *out, const float *in, size_t pitch, size_t n, float gain);
 void host_across(float *out, const float *turned, const struct wall_taps *t, const struct host_run *run, unsigned runs, bool set);
-/* n LEDs' linear drive of their light, in place; twin of shaders/wall_columns.frag, without the gain. */
+/* n LEDs', a multiple of 8, linear drive of their light, in place; twin of shaders/wall_columns.frag, without the gain. */
 struct host_drive { float exposure, saturation, luma[3], matrix[3][3]; int tone_map; };
 void host_drive(float *const light[3], size_t n, const struct host_drive *d);
 

@@ -18,6 +18,15 @@
 typedef float eight __attribute__((vector_size(32), aligned(4), may_alias));
 typedef int32_t eight_bits __attribute__((vector_size(32), aligned(4), may_alias));
 
+// For vectors, C has no ?: in gcc.
+#define SELECT(MASK, YES, NO) ((eight)(((MASK) & (eight_bits)(YES)) | (~(MASK) & (eight_bits)(NO))))
+#define LIMIT(V, LOW, HIGH)                                                                                                    \
+    do {                                                                                                                       \
+        const eight low_ = (LOW) - (eight){ 0 }, high_ = (HIGH) - (eight){ 0 };                                                \
+        V = SELECT(V > low_, V, low_);                                                                                         \
+        V = SELECT(V < high_, V, high_);                                                                                       \
+    } while (0)
+
 enum weighing { WEIGH_SET, WEIGH_MORE, WEIGH_ADD };
 
 static inline float finite_or_0(float v)
@@ -108,12 +117,10 @@ FAST void host_weigh_add(float *out, const float *const *row, const float *w, un
     weigh(out, row, w, count, n, WEIGH_ADD, gain, false);
 }
 
-static inline float held(float v) { return v > FLT_MAX ? FLT_MAX : v < -FLT_MAX ? -FLT_MAX : v; }
-
-FAST void host_hold(float *v, size_t n, float gain)
+FAST void host_hold(float *v, size_t n)
 {
     for (size_t x = 0; x < n; x++)
-        v[x] = held(held(v[x]) * gain);
+        v[x] = v[x] > FLT_MAX ? FLT_MAX : v[x];
 }
 
 FAST void host_unzip(float *restrict even, float *restrict odd, const float *restrict in, size_t n)
@@ -140,55 +147,71 @@ static inline float sane(float v)
     return f > 0 ? f : 0;
 }
 
-static inline float within(float v, float low, float high)
-{
-    v = v > low ? v : low;
-    return v < high ? v : high;
-}
+/* What luminance is multiplied by: a pass's numbers. */
+struct curve { float edge, wide, by, foot; bool smooth; };
 
-// What luminance l is multiplied by.
-static inline __attribute__((always_inline)) float curve_gain(float l, bool smooth, float edge, float wide, float by, float foot)
+#define SANE(V, P)                                                                                                             \
+    LOAD(V, P)                                                                                                                 \
+    V = SELECT(V > none, V, none)
+
+static inline __attribute__((always_inline)) void excess_eight(float *const out[3], const float *const in[3], size_t x, unsigned channels,
+                                                               const struct curve *k, const float luma[3])
 {
-    if (smooth) {
-        const float step = l > edge ? 1.0f : 0.0f, slope = within((l - foot) * by, 0, 1), t = by == 0 ? step : slope;
-        return t * t * (3.0f - 2.0f * t);
+    const bool finite = true;
+    const eight none = { 0 }, one = 1.0f - none, tiny = FLT_MIN - none;
+    SANE(r, in[0] + x);
+    eight g = none, b = none, l = r * luma[0], gain;
+    if (channels == 3) {
+        SANE(vg, in[1] + x);
+        SANE(vb, in[2] + x);
+        g = vg;
+        b = vb;
+        l = l + g * luma[1] + b * luma[2];
     }
-    const float s = within(l - foot, 0, wide), knee = s * (s * by), line = l - edge, over = line > 0 ? line : 0;
-    return (knee > over ? knee : over) / (l > FLT_MIN ? l : FLT_MIN);
+    if (k->smooth) {
+        eight t = (l - k->foot) * k->by;
+        LIMIT(t, 0, 1);
+        if (k->by == 0)
+            t = SELECT(l > k->edge - none, one, none);
+        gain = t * t * (3.0f - 2.0f * t);
+    } else {
+        eight s = l - k->foot;
+        LIMIT(s, 0, k->wide);
+        const eight knee = s * (s * k->by), line = l - k->edge, over = SELECT(line > none, line, none);
+        gain = SELECT(knee > over, knee, over) / SELECT(l > tiny, l, tiny);
+    }
+    *(eight *)(void *)(out[0] + x) = r * gain;
+    if (channels == 3) {
+        *(eight *)(void *)(out[1] + x) = g * gain;
+        *(eight *)(void *)(out[2] + x) = b * gain;
+    }
 }
 
+// The pixels that are left over go through a vector of their own: one formula for all.
 static inline __attribute__((always_inline)) void excess_luma(float *const out[3], const float *const in[3], size_t n, unsigned channels,
-                                                              bool smooth, const float curve[4], const float luma[3])
+                                                              const struct curve *k, const float luma[3])
 {
-    const float edge = curve[0], wide = curve[1], by = curve[2], foot = curve[3];
-    const float lr = luma[0], lg = channels == 3 ? luma[1] : 0, lb = channels == 3 ? luma[2] : 0;
-    const float *restrict r = in[0], *restrict g = in[channels == 3 ? 1 : 0], *restrict b = in[channels == 3 ? 2 : 0];
-    float *restrict red = out[0], *restrict green = out[1], *restrict blue = out[2];
-    if (channels == 1) {
-        for (size_t x = 0; x < n; x++) {
-            const float v = sane(r[x]);
-            red[x] = v * curve_gain(v * lr, smooth, edge, wide, by, foot);
-        }
+    size_t x = 0;
+    for (; x + 8 <= n; x += 8)
+        excess_eight(out, in, x, channels, k, luma);
+    if (x == n)
         return;
-    }
-    for (size_t x = 0; x < n; x++) {
-        const float vr = sane(r[x]), vg = sane(g[x]), vb = sane(b[x]);
-        const float gain = curve_gain(vr * lr + vg * lg + vb * lb, smooth, edge, wide, by, foot);
-        red[x] = vr * gain;
-        green[x] = vg * gain;
-        blue[x] = vb * gain;
-    }
+    float some[2][3][8] = { { { 0 } } };
+    float *const to[3] = { some[1][0], some[1][1], some[1][2] };
+    const float *const from[3] = { some[0][0], some[0][1], some[0][2] };
+    for (unsigned c = 0; c < channels; c++)
+        memcpy(some[0][c], in[c] + x, (n - x) * sizeof(float));
+    excess_eight(to, from, 0, channels, k, luma);
+    for (unsigned c = 0; c < channels; c++)
+        memcpy(out[c] + x, some[1][c], (n - x) * sizeof(float));
 }
 
 FAST void host_excess(float *const out[3], const float *const in[3], size_t n, unsigned channels, enum bright_curve kind, const float curve[4],
                       const float luma[3])
 {
-    if (kind == BRIGHT_SMOOTHSTEP) {
-        excess_luma(out, in, n, channels, true, curve, luma);
-        return;
-    }
     if (kind != BRIGHT_NONE && kind != BRIGHT_CHANNEL) {
-        excess_luma(out, in, n, channels, false, curve, luma);
+        const struct curve k = { curve[0], curve[1], curve[2], curve[3], kind == BRIGHT_SMOOTHSTEP };
+        excess_luma(out, in, n, channels, &k, luma);
         return;
     }
     const float edge = kind == BRIGHT_CHANNEL ? curve[0] : 0;
@@ -204,11 +227,18 @@ FAST void host_excess(float *const out[3], const float *const in[3], size_t n, u
 
 /* ---- to the wall's pixels ------------------------------------------------------------------------------------ */
 
-FAST void host_turn(float *restrict out, const float *restrict in, size_t pitch, size_t n)
+FAST void host_turn(float *restrict out, const float *restrict in, size_t pitch, size_t n, float gain)
 {
     for (size_t x = 0; x < n; x++)
         for (size_t r = 0; r < HOST_ROWS; r++)
             out[x * HOST_ROWS + r] = in[r * pitch + x];
+    for (size_t x = 0; x < n * HOST_ROWS; x += 8) {
+        eight v = *(const eight *)(const void *)(out + x);
+        LIMIT(v, -FLT_MAX, FLT_MAX);
+        v *= gain;
+        LIMIT(v, -FLT_MAX, FLT_MAX);
+        *(eight *)(void *)(out + x) = v;
+    }
 }
 
 // Does light of these columns reach the sum of this one? at: the first run that may matter, for columns come in order.
@@ -232,52 +262,58 @@ FAST void host_across(float *out, const float *turned, const struct wall_taps *t
         eight sum = { 0 };
         for (uint32_t k = 0; k < t->count[i]; k++)
             sum += w[k] * *(const eight *)(const void *)(from + (size_t)k * HOST_ROWS);
-        for (unsigned r = 0; r < HOST_ROWS; r++)
-            out[r] += held(sum[r]);
+        LIMIT(sum, -FLT_MAX, FLT_MAX);
+        *(eight *)(void *)out += sum;
     }
 }
 
-static inline __attribute__((always_inline)) float mapped(float v, int kind)
-{
-    if (kind == DISPLAY_REINHARD)
-        return v / (v + 1.0f);
-    if (kind == DISPLAY_ACES) {
-        // Narkowicz 2015; from 1 on over v^2, so that no square overflows.
-        const float i = 1.0f / (v > 1.0f ? v : 1.0f);
-        const float low = v * (2.51f * v + 0.03f) / (v * (2.43f * v + 0.59f) + 0.14f);
-        const float high = (2.51f + 0.03f * i) / (2.43f + i * (0.59f + 0.14f * i));
-        return v < 1.0f ? low : high;
-    }
-    return v;
-}
+#define TONE_MAP(V)                                                                                                            \
+    do {                                                                                                                       \
+        V *= exposure;                                                                                                         \
+        LIMIT(V, 0, most);                                                                                                     \
+        if (tone_map == DISPLAY_REINHARD)                                                                                      \
+            V = V / (V + 1.0f);                                                                                                \
+        if (tone_map == DISPLAY_ACES) {                                                                                        \
+            const eight above_ = SELECT(V > one, V, one), i_ = 1.0f / above_, below_ = SELECT(V < one, V, one);                \
+            const eight low_ = below_ * (2.51f * below_ + 0.03f) / (below_ * (2.43f * below_ + 0.59f) + 0.14f);                \
+            const eight high_ = (2.51f + 0.03f * i_) / (2.43f + i_ * (0.59f + 0.14f * i_));                                    \
+            V = SELECT(V < one, low_, high_);                                                                                  \
+        }                                                                                                                      \
+    } while (0)
 
-static inline __attribute__((always_inline)) void drive(float *const light[3], size_t n, const struct host_drive *d, int tone_map)
+// ACES: Narkowicz 2015; from 1 on over v^2, so that no square overflows.
+static inline __attribute__((always_inline)) void drive(float *const light[3], size_t n, const struct host_drive *d, int tone_map, bool saturate)
 {
     // Light that is this bright is held at full drive later anyway; sums of it stay finite.
-    const float most = 1e30f;
+    const float most = 1e30f, exposure = d->exposure, s = d->saturation;
+    const eight one = 1.0f - (eight){ 0 }, none = { 0 };
     const struct host_drive k = *d;
-    float *restrict red = light[0], *restrict green = light[1], *restrict blue = light[2];
-    for (size_t x = 0; x < n; x++) {
-        float r = mapped(within(red[x] * k.exposure, 0, most), tone_map);
-        float g = mapped(within(green[x] * k.exposure, 0, most), tone_map);
-        float b = mapped(within(blue[x] * k.exposure, 0, most), tone_map);
-        const float l = r * k.luma[0] + g * k.luma[1] + b * k.luma[2];
-        const float sr = l + k.saturation * (r - l), sg = l + k.saturation * (g - l), sb = l + k.saturation * (b - l);
-        r = k.saturation == 1 ? r : sr > 0 ? sr : 0;
-        g = k.saturation == 1 ? g : sg > 0 ? sg : 0;
-        b = k.saturation == 1 ? b : sb > 0 ? sb : 0;
-        red[x] = k.matrix[0][0] * r + k.matrix[0][1] * g + k.matrix[0][2] * b;
-        green[x] = k.matrix[1][0] * r + k.matrix[1][1] * g + k.matrix[1][2] * b;
-        blue[x] = k.matrix[2][0] * r + k.matrix[2][1] * g + k.matrix[2][2] * b;
+    for (size_t x = 0; x < n; x += 8) {
+        eight *const red = (eight *)(void *)(light[0] + x), *const green = (eight *)(void *)(light[1] + x);
+        eight *const blue = (eight *)(void *)(light[2] + x);
+        eight r = *red, g = *green, b = *blue;
+        TONE_MAP(r);
+        TONE_MAP(g);
+        TONE_MAP(b);
+        if (saturate) {
+            const eight l = r * k.luma[0] + g * k.luma[1] + b * k.luma[2];
+            const eight sr = l + s * (r - l), sg = l + s * (g - l), sb = l + s * (b - l);
+            r = SELECT(sr > none, sr, none);
+            g = SELECT(sg > none, sg, none);
+            b = SELECT(sb > none, sb, none);
+        }
+        *red = k.matrix[0][0] * r + k.matrix[0][1] * g + k.matrix[0][2] * b;
+        *green = k.matrix[1][0] * r + k.matrix[1][1] * g + k.matrix[1][2] * b;
+        *blue = k.matrix[2][0] * r + k.matrix[2][1] * g + k.matrix[2][2] * b;
     }
 }
 
 FAST void host_drive(float *const light[3], size_t n, const struct host_drive *d)
 {
     if (d->tone_map == DISPLAY_ACES)
-        drive(light, n, d, DISPLAY_ACES);
+        drive(light, n, d, DISPLAY_ACES, d->saturation != 1);
     else if (d->tone_map == DISPLAY_REINHARD)
-        drive(light, n, d, DISPLAY_REINHARD);
+        drive(light, n, d, DISPLAY_REINHARD, d->saturation != 1);
     else
-        drive(light, n, d, DISPLAY_NONE);
+        drive(light, n, d, DISPLAY_NONE, d->saturation != 1);
 }

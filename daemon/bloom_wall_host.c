@@ -36,7 +36,8 @@ static void picture_row(const struct frame *fr, const struct wall_taps *t, uint3
 {
     const struct slot_target *p = fr->target;
     const size_t width = p->width;
-    memset(out, 0, width * sizeof(*out));
+    if (!t->count[i])
+        memset(out, 0, width * sizeof(*out));
     for (uint32_t k = 0; k < t->count[i]; k += AT_ONCE) {
         const uint32_t n = t->count[i] - k < AT_ONCE ? t->count[i] - k : AT_ONCE;
         const float *row[AT_ONCE];
@@ -48,9 +49,8 @@ static void picture_row(const struct frame *fr, const struct wall_taps *t, uint3
                 row[m] = decoded + m * width;
             }
         }
-        host_weigh_finite(out, row, t->weight + (size_t)i * t->room + k, n, width, true);
+        host_weigh_finite(out, row, t->weight + (size_t)i * t->room + k, n, width, k > 0);
     }
-    host_hold(out, width, 1);
 }
 
 static void picture_band(const struct host_frame *f, unsigned band, unsigned member)
@@ -67,7 +67,7 @@ static void picture_band(const struct host_frame *f, unsigned band, unsigned mem
             else
                 memset(rows + r * width, 0, width * sizeof(*rows));
         }
-        host_turn(turned, rows, width, width);
+        host_turn(turned, rows, width, width, 1);
         host_across(light_of(f->work, band, c), turned, &f->work->taps[0][1], &all, 1, true);
     }
 }
@@ -107,21 +107,21 @@ static unsigned source_runs(const struct host *h, const struct wall_source *s, l
     return n;
 }
 
-static void glow_row(const struct wall_taps *t, uint32_t i, const float *plane, size_t pitch, const struct host_run *run, unsigned runs, float gain,
+static void glow_row(const struct wall_taps *t, uint32_t i, const float *plane, size_t pitch, const struct host_run *run, unsigned runs,
                      float *out)
 {
     for (unsigned n = 0; n < runs; n++) {
         const size_t width = (size_t)(run[n].x1 - run[n].x0);
         float *to = out + run[n].x0;
-        memset(to, 0, width * sizeof(*to));
+        if (!t->count[i])
+            memset(to, 0, width * sizeof(*to));
         for (uint32_t k = 0; k < t->count[i]; k += AT_ONCE) {
             const uint32_t m = t->count[i] - k < AT_ONCE ? t->count[i] - k : AT_ONCE;
             const float *row[AT_ONCE];
             for (uint32_t j = 0; j < m; j++)
                 row[j] = plane + (size_t)(t->first[i] + k + j) * pitch + run[n].x0;
-            host_weigh(to, row, t->weight + (size_t)i * t->room + k, m, width, true);
+            host_weigh(to, row, t->weight + (size_t)i * t->room + k, m, width, k > 0);
         }
-        host_hold(to, width, gain);
     }
 }
 
@@ -143,8 +143,8 @@ static void glow_source(const struct host_frame *f, const struct wall_source *s,
     for (unsigned c = 0; c < f->work->channels; c++) {
         const double weight = s->gaussian >= 0 ? fr->b->plan->gaussian[s->gaussian].weight[c] : 1;
         for (uint32_t r = 0; r < HOST_ROWS && band * HOST_ROWS + r < taps[0].n; r++)
-            glow_row(&taps[0], band * HOST_ROWS + r, p->at[c], pitch, run, runs, (float)(fr->params->intensity * weight), rows + r * pitch);
-        host_turn(turned, rows, pitch, pitch);
+            glow_row(&taps[0], band * HOST_ROWS + r, p->at[c], pitch, run, runs, rows + r * pitch);
+        host_turn(turned, rows, pitch, pitch, (float)(fr->params->intensity * weight));
         host_across(light_of(f->work, band, c), turned, &taps[1], run, runs, false);
     }
 }
