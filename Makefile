@@ -115,10 +115,10 @@ $(BUILD)/gen/airy.pb-c.o: $(BUILD)/gen/airy.pb-c.c
 
 # Pixel loops that the compiler vectorises.
 $(BUILD)/daemon/frame.o $(BUILD)/daemon/exr_zip.o $(BUILD)/daemon/exr_encode.o $(BUILD)/daemon/fft.o \
-$(BUILD)/daemon/kernel_aperture.o $(BUILD)/daemon/convolve.o: CFLAGS += $(if $(SAN),,-O3)
+$(BUILD)/daemon/kernel_aperture.o $(BUILD)/daemon/convolve.o $(BUILD)/daemon/bloom_host_rows.o: CFLAGS += $(if $(SAN),,-O3)
 
 # Selects may be taken on both sides: no code here looks at the FPU's flags.
-$(BUILD)/daemon/kernel_aperture.o: CFLAGS += -fno-trapping-math -fno-math-errno
+$(BUILD)/daemon/kernel_aperture.o $(BUILD)/daemon/bloom_host_rows.o: CFLAGS += -fno-trapping-math -fno-math-errno
 
 $(BUILD)/proto.a: $(call obj,$(ROOM_proto)) $(BUILD)/gen/airy.pb-c.o
 $(BUILD)/exr.a: $(call obj,$(ROOM_exr)) $(patsubst %.cc,$(BUILD)/%.o,$(wildcard daemon/exr*.cc))

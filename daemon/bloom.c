@@ -9,7 +9,7 @@
 #include <string.h>
 #include <time.h>
 
-#include "bloom_internal.h"
+#include "bloom_host.h"
 #include "look.h"
 
 // Would auto take half where it may? Measured on lavapipe: half the memory and the same time, so float32, which is the more
@@ -277,16 +277,17 @@ static int check_request(const struct frame *fr)
 static int run_frame(struct frame *fr, bool dark, struct bloom_reply *r)
 {
     struct bloom *b = fr->b;
-    if (choose_storage(fr, r->max_bright) < 0 || prepare_targets(fr) < 0 || (fr->fft && !dark && fft_prepare(fr) < 0))
+    if (choose_storage(fr, r->max_bright) < 0 || (fr->wall_host ? host_prepare(fr, dark) : prepare_targets(fr)) < 0 || (fr->fft && !dark && fft_prepare(fr) < 0))
         return -1;
     struct lit lit;
     if (!dark) {
         fr->most_glow = fr->params->intensity * r->max_bright * (plan_weight(fr) * (1 + 0x1p-10) + plan_bound(fr));
-        fr->lit = !b->whole && bright_lit(fr, &lit) ? &lit : NULL;
+        fr->lit = !b->whole && !fr->wall_host && bright_lit(fr, &lit) ? &lit : NULL;
     }
-    if ((fr->wall_direct ? wall_run(fr, dark) : record_frame(fr, dark)) < 0)
+    if ((fr->wall_host ? wall_run_host(fr, dark) : fr->wall_direct ? wall_run(fr, dark) : record_frame(fr, dark)) < 0)
         return -1;
-    log_profile(b);
+    if (!fr->wall_host)
+        log_profile(b);
     if (dark)
         return 0;
     plan_describe(b, fr->params, r);
@@ -313,6 +314,7 @@ static int run_stated(struct frame *fr, struct bloom_reply *r)
     set_features(fr);
     if (fr->wall_direct)
         fr->wall_level = wall_level(fr->b, fr->b->plan, fr->wall);
+    fr->wall_host = fr->wall_direct && fr->b->vk.cpu && !fr->b->staged && !fr->rich;
     const bool no_plan = fr->fft ? fr->params->psf_spec.weight == 0 : !fr->b->plan->count;
     bool dark = r->max_bright == 0 || no_plan || fr->params->intensity == 0;
     // A wall's shares must agree on what is left out.
@@ -389,6 +391,50 @@ int bloom_run(struct bloom *b, struct bloom_slot *s, unsigned target, const stru
     return 0;
 }
 
+/* ---- first frames of a wall ------------------------------------------------------------------------ */
+
+static int warm_run(struct bloom *b, const struct bloom_request *r, struct frame_scan *scan, float luminance, struct fault *f)
+{
+    uint32_t bits;
+    struct bloom_reply reply;
+    memcpy(&bits, &luminance, sizeof(bits));
+    for (uint32_t i = 0; i < scan->tiles_x * scan->tiles_y; i++) {
+        atomic_store(&scan->tile_luma[i], bits);
+        atomic_store(&scan->tile_channel[i], bits);
+    }
+    return bloom_run(b, &b->warm_slot, 0, r, &reply, f);
+}
+
+int bloom_wall_warm(struct bloom *b, const struct bloom_wall *w, const struct params *p, const struct bloom_geometry *geometry,
+                    float pixel_aspect, uint32_t display_width, struct fault *f)
+{
+    struct planes in, out[BLOOM_OUTPUTS_MAX];
+    struct frame_scan scan = { 0 };
+    struct bloom_wall wall = *w;
+    struct bloom_request r = { .params = p, .scan = &scan, .source = -1, .matte = -1, .depth = -1, .wall = &wall,
+                               .pixel_aspect = pixel_aspect, .display_width = display_width };
+    int rc = -1;
+    memcpy(r.luma, frame_rec709, sizeof(r.luma));
+    wall.adapt = NULL;
+    wall.drive = calloc((size_t)w->width * w->height * 3, sizeof(float));
+    const bool no_scan = frame_scan_init(&scan, geometry->width, geometry->height) != 0;
+    if (!wall.drive || no_scan) {
+        fault_set(f, FAULT_NO_MEMORY, "wall", "no memory for a first frame of %u x %u", geometry->width, geometry->height);
+        goto fail;
+    }
+    // The planes are black; what the scan says of them decides which passes are drawn.
+    if (bloom_slot_prepare(b, &b->warm_slot, 1, geometry, &in, out, f) == 0 && warm_run(b, &r, &scan, 1e30f, f) == 0)
+        rc = warm_run(b, &r, &scan, 0, f);
+fail:
+    // As large as a frame, and not needed again.
+    slot_destroy(&b->vk, &b->warm_slot);
+    memset(&b->warm_slot, 0, sizeof(b->warm_slot));
+    if (!no_scan)
+        frame_scan_finish(&scan);
+    free(wall.drive);
+    return rc;
+}
+
 /* ---- life ------------------------------------------------------------------------------------------ */
 
 static int open_device(struct bloom *b, const struct bloom_options *o, struct fault *f)
@@ -437,6 +483,7 @@ void bloom_destroy(struct bloom *b)
         vkDeviceWaitIdle(b->vk.device);
         ledger_clear(&b->ledger);
         look_destroy(b, b->look);
+        host_destroy(b->host);
         for (unsigned i = 0; i < WALL_KEPT; i++)
             wall_work_destroy(&b->vk, b->wall[i]);
         fft_destroy(b);

@@ -115,7 +115,8 @@ struct bloom_adapt {
  * is of a machine). From a part with any other corner it is right to the bound all the same.
  * A reply's error_bound is then of the mean's glow; the mean of the frame itself is summed in float32, and so right to some
  * (rows + columns of a wall pixel) * 2^-24 of the mean of its sizes. Where the picture is not plain it passes through output planes
- * of the target's type. Energies are 0. The first frame of a wall makes weights and pipelines.
+ * of the target's type. Energies are 0. The first frame of a wall makes weights and pipelines, unless bloom_wall_warm has.
+ * Where the device is the CPU and the planes lie in the host's memory, a plain picture is worked out in C on options.threads threads.
  */
 struct bloom_wall {
     uint32_t width, height;          /* of the wall, pixels */
@@ -157,6 +158,12 @@ struct bloom_request {
     float pixel_aspect;            /* width of a pixel over its height; > 0 */
     uint32_t display_width;        /* of the display window, for sizes in mm; 0: the target's width */
 };
+
+/* Makes ready what the first frames of such a wall need (weights, memory, pipelines), by drawing a bright and a dark one of no light.
+ * geometry: of the target; the wall's frame_... as they will be; its drive is not written. A few ms on the host, up to 2 s where a
+ * driver must compile. On the device thread. 0, or -1 and *f. */
+int bloom_wall_warm(struct bloom *b, const struct bloom_wall *w, const struct params *p, const struct bloom_geometry *geometry,
+                    float pixel_aspect, uint32_t display_width, struct fault *f);
 
 struct bloom_reply {
     bool untouched;       /* no glow at all: the output planes were not written */

@@ -68,6 +68,8 @@ static double tile_bound(const struct frame *fr, uint32_t tile)
     return bright_bound(fr, of_bits(fr->scan->tile_luma[tile]) * gain, of_bits(fr->scan->tile_channel[tile]) * gain);
 }
 
+bool bright_tile(const struct frame *fr, uint32_t tile) { return tile_bound(fr, tile) > 0; }
+
 void bright_count(const struct frame *fr, struct bloom_reply *reply)
 {
     const struct frame_scan *s = fr->scan;
@@ -184,6 +186,17 @@ void bright_set(struct frame *fr)
     fr->knee = p->bright == BRIGHT_SMOOTHSTEP  ? p->knee
                : p->bright == BRIGHT_LUMINANCE ? 0
                                                : fmin(p->knee * scale, fr->threshold);
+}
+
+// Differences are taken in double here: T - K must be 0 when K = T, not a rest of rounding.
+void bright_curve(const struct frame *fr, float curve[4])
+{
+    const bool smooth = fr->params->bright == BRIGHT_SMOOTHSTEP;
+    const double edge = fr->threshold, k = smooth ? edge * fr->knee : fr->knee;
+    curve[0] = (float)edge;
+    curve[1] = (float)(2 * k);
+    curve[2] = k > 0 ? (float)(1 / ((smooth ? 2 : 4) * k)) : 0;
+    curve[3] = (float)(edge - k);
 }
 
 // E is a difference: what the luminance, the threshold and their subtraction round off is a share of the

@@ -182,6 +182,14 @@ struct wall_source {
     uint32_t column, texels;   /* where its rows are in wall_work.rows */
 };
 
+/* One axis of a source, for the host: wall column (row) i is the sum of count[i] cells from first[i] on, counted from the first
+ * one kept. */
+struct wall_taps {
+    uint32_t n, room;          /* columns; weights that each has room for */
+    uint32_t *first, *count;
+    float *weight;             /* [n][room] */
+};
+
 struct wall_work {
     uint64_t used;             /* bloom.walls_asked when last; 0: empty */
     struct bloom_wall wall;    /* its pointers are not looked at */
@@ -199,6 +207,10 @@ struct wall_work {
     uint64_t gain_id;
     struct vk_memory memory;
     struct vk_buffer back;     /* the drive, R G B 0 */
+    /* On the host, in place of all images: */
+    bool host;
+    struct wall_taps taps[WALL_SOURCES_MAX][2]; /* down, across */
+    float *light;              /* [bands of HOST_ROWS rows][3][columns][HOST_ROWS]: the picture's mean, then the glow's too */
 };
 
 struct bloom {
@@ -225,6 +237,7 @@ struct bloom {
     struct cost_model cost;
     unsigned threads;                 /* for what the host does */
     struct look_targets *look;
+    struct host *host;                /* bloom_host.h; made when first needed */
     struct wall_work *wall[WALL_KEPT]; /* made when first needed */
     uint64_t walls_asked;
     /* Plans and what they were made for: a request that came lately costs nothing to plan. */
@@ -264,6 +277,7 @@ struct frame {
     double scale;                /* all their numbers times this power of 2; else 1 */
     const struct bloom_wall *wall; /* NULL: output planes */
     bool wall_direct;            /* no composite: */
+    bool wall_host;              /* by bloom_host.h */
     unsigned wall_level;         /* level at which the sum of Gaussians ends */
     const struct lit *lit;       /* where E may be above 0; NULL: anywhere */
     struct fault *f;
@@ -286,6 +300,10 @@ void plan_describe(struct bloom *b, const struct params *p, struct bloom_reply *
 void bright_set(struct frame *fr);
 /* Tiles, tiles_bright and max_bright of the reply. */
 void bright_count(const struct frame *fr, struct bloom_reply *reply);
+/* May this tile of the scan glow? */
+bool bright_tile(const struct frame *fr, uint32_t tile);
+/* The curve's numbers as pass_uniforms.bright has them. */
+void bright_curve(const struct frame *fr, float curve[4]);
 /* False: nearly everywhere, or too scattered to be worth it. */
 bool bright_lit(const struct frame *fr, struct lit *out);
 /* Sets skip and skip_bound: for a scene-linear picture of half, Gaussians whose sum stays below half of its smallest step. */

@@ -37,17 +37,6 @@ struct pass_uniforms *pass_begin(struct frame *fr, struct vk_draw *d)
     return u;
 }
 
-// Differences are taken in double here: T - K must be 0 when K = T, not a rest of rounding.
-static void set_curve(const struct frame *fr, struct pass_uniforms *u)
-{
-    const bool smooth = fr->params->bright == BRIGHT_SMOOTHSTEP;
-    const double edge = fr->threshold, k = smooth ? edge * fr->knee : fr->knee;
-    u->bright[0] = (float)edge;
-    u->bright[1] = (float)(2 * k);
-    u->bright[2] = k > 0 ? (float)(1 / ((smooth ? 2 : 4) * k)) : 0;
-    u->bright[3] = (float)(edge - k);
-}
-
 static VkRect2D area_of(uint32_t width, uint32_t height) { return (VkRect2D){ { 0, 0 }, { width, height } }; }
 
 static void level_area(struct frame *fr, const struct level *v, struct vk_draw *d, struct pass_uniforms *u)
@@ -161,7 +150,7 @@ static int record_plain(struct frame *fr, unsigned order)
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
-    set_curve(fr, u);
+    bright_curve(fr, u->bright);
     u->weight[3] = (float)fr->scale;
     planes_of(fr->source, &d);
     d.area = area_of(t->layered.width, t->layered.height);
@@ -190,7 +179,7 @@ static int record_extract(struct frame *fr, struct extract x)
     if (!d.pipeline)
         return -1;
     struct pass_uniforms *u = pass_begin(fr, &d);
-    set_curve(fr, u);
+    bright_curve(fr, u->bright);
     planes_of(fr->source, &d);
     d.matte = fr->matte ? &fr->matte->in[0] : &fr->source->in[0];
     d.area = area_of(t->layered.width, t->layered.height);

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "bloom_internal.h"
+#include "bloom_host.h"
 
 enum { TABLE_BYTES_MAX = 64 << 20 };
 
@@ -161,6 +161,39 @@ static int table_make(struct table *t, const struct side *s, const struct way *y
     return t->texel ? 0 : fault_set(f, FAULT_NO_MEMORY, "", "out of memory for a wall's weights");
 }
 
+// The same for the host: each column's own weights, one after the other.
+static int taps_make(struct wall_taps *t, const struct side *s, const struct way *y, struct fault *f)
+{
+    const long room = (long)s->extent + 4 * PSF_TAPS_MAX + 64;
+    double *memory = malloc(2 * (size_t)room * sizeof(double));
+    struct window w = { .v = memory, .spare = memory + room, .room = room };
+    t->n = s->end - s->first;
+    t->room = 1;
+    for (uint32_t i = s->first; memory && i < s->end; i++) {
+        window_make(&w, s, y, i);
+        t->room = (uint32_t)w.count > t->room ? (uint32_t)w.count : t->room;
+    }
+    const uint64_t bytes = (uint64_t)t->n * t->room * sizeof(float);
+    if (bytes > TABLE_BYTES_MAX) {
+        free(memory);
+        return fault_set(f, FAULT_LIMIT, "wall", "%u wall pixels of %g frame pixels each: weights of %llu bytes, at most %d expected",
+                         t->n, s->pitch, (unsigned long long)bytes, TABLE_BYTES_MAX);
+    }
+    t->first = calloc(t->n, sizeof(*t->first));
+    t->count = calloc(t->n, sizeof(*t->count));
+    t->weight = calloc(1, bytes);
+    const bool all = memory && t->first && t->count && t->weight;
+    for (uint32_t i = s->first; all && i < s->end; i++) {
+        window_make(&w, s, y, i);
+        t->first[i - s->first] = (uint32_t)w.first;
+        t->count[i - s->first] = (uint32_t)w.count;
+        for (long k = 0; k < w.count; k++)
+            t->weight[(size_t)(i - s->first) * t->room + (size_t)k] = (float)w.v[k];
+    }
+    free(memory);
+    return all ? 0 : fault_set(f, FAULT_NO_MEMORY, "", "out of memory for a wall's weights");
+}
+
 /* ---- on the device ----------------------------------------------------------------------------------- */
 
 static size_t table_bytes(const struct table *t) { return (size_t)t->n * (1 + t->chunks) * 16; }
@@ -177,25 +210,53 @@ static void sides_of(const struct frame *fr, struct side side[2])
     side[1] = (struct side){ w->x, w->pitch_x, w->first_x, w->end_x, w->frame_x, fr->target->width };
 }
 
-static int tables_make(struct tables *all, struct wall_work *k, const struct frame *fr)
+// Down and across.
+static void ways_of(const struct frame *fr, const struct wall_source *s, bool picture, struct way way[2])
 {
     const struct targets *t = &fr->b->targets;
     const struct plan *p = fr->b->plan;
+    if (picture) {
+        way[0] = (struct way){ .level = s->level, .stored = fr->target->height, .aligned = !fr->wall_direct };
+        way[1] = (struct way){ .level = s->level, .stored = fr->target->width, .aligned = !fr->wall_host };
+        return;
+    }
+    const struct plan_gaussian *g = s->gaussian >= 0 ? &p->gaussian[s->gaussian] : NULL;
+    const struct level *v = fr->wall_host ? &fr->b->host->level[s->level] : &t->level[s->level];
+    const bool layered = !fr->wall_host && s->level == 0 && g;
+    way[0] = (struct way){ s->level, p->order, g ? &g->y : NULL, LEVEL_MARGIN, layered ? 2 * (long)t->layered_groups : 4 * (long)v->groups,
+                           false };
+    way[1] = (struct way){ s->level, p->order, g ? &g->x : NULL, LEVEL_MARGIN, 4 * (long)v->texels, !fr->wall_host };
+}
+
+static int host_tables_make(struct wall_work *k, const struct frame *fr)
+{
+    struct side side[2];
+    sides_of(fr, side);
+    for (unsigned i = 0; i < k->sources; i++) {
+        struct way way[2];
+        ways_of(fr, &k->source[i], i == 0, way);
+        for (unsigned a = 0; a < 2; a++)
+            if (taps_make(&k->taps[i][a], &side[a], &way[a], fr->f) < 0)
+                return -1;
+        k->source[i].taps_down = k->taps[i][0].room;
+        k->source[i].taps_across = k->taps[i][1].room;
+    }
+    const uint64_t columns = k->taps[0][1].n, bands = (k->taps[0][0].n + HOST_ROWS - 1) / HOST_ROWS;
+    const uint64_t floats = columns * bands * HOST_ROWS * 3;
+    k->light = floats > SIZE_MAX / sizeof(float) ? NULL : malloc(floats * sizeof(float));
+    return k->light ? 0 : fault_set(fr->f, FAULT_NO_MEMORY, "wall", "out of memory for %llu wall pixels", (unsigned long long)(floats / 3));
+}
+
+static int tables_make(struct tables *all, struct wall_work *k, const struct frame *fr)
+{
     struct side side[2];
     uint32_t column = 0;
     sides_of(fr, side);
     for (unsigned i = 0; i < k->sources; i++) {
         struct wall_source *s = &k->source[i];
-        const struct plan_gaussian *g = s->gaussian >= 0 ? &p->gaussian[s->gaussian] : NULL;
-        struct way down = { .level = s->level, .stored = fr->target->height, .aligned = !fr->wall_direct };
-        struct way across = { .level = s->level, .stored = fr->target->width, .aligned = true };
-        if (i > 0) {
-            const struct level *v = &t->level[s->level];
-            const bool layered = s->level == 0 && g;
-            down = (struct way){ s->level, p->order, g ? &g->y : NULL, LEVEL_MARGIN,
-                                 layered ? 2 * (long)t->layered_groups : 4 * (long)v->groups, false };
-            across = (struct way){ s->level, p->order, g ? &g->x : NULL, LEVEL_MARGIN, 4 * (long)v->texels, true };
-        }
+        struct way way[2];
+        ways_of(fr, s, i == 0, way);
+        const struct way down = way[0], across = way[1];
         s->column = column;
         s->texels = (uint32_t)(across.stored + 3) / 4;
         column += s->texels;
@@ -309,7 +370,7 @@ static int gain_upload(struct wall_work *k, const struct frame *fr)
     struct bloom *b = fr->b;
     const struct bloom_wall *w = fr->wall;
     const size_t pixels = (size_t)w->width * w->height;
-    if (!w->gain || (k->has_gain && k->gain_id == w->gain_id))
+    if (k->host || !w->gain || (k->has_gain && k->gain_id == w->gain_id))
         return 0;
     if (vk_buffer_reserve(&b->vk, &b->exchange, pixels * 16, EXCHANGE_USAGE, fr->f) < 0 || vk_begin(&b->commands, fr->f) < 0)
         return -1;
@@ -339,11 +400,26 @@ static void images_destroy(struct vk *v, struct wall_work *k)
         vk_image_destroy(v, &k->source[i].down);
 }
 
+static void host_tables_free(struct wall_work *k)
+{
+    for (unsigned i = 0; i < WALL_SOURCES_MAX; i++)
+        for (unsigned a = 0; a < 2; a++) {
+            struct wall_taps *t = &k->taps[i][a];
+            free(t->first);
+            free(t->count);
+            free(t->weight);
+            *t = (struct wall_taps){ 0 };
+        }
+    free(k->light);
+    k->light = NULL;
+}
+
 void wall_work_destroy(struct vk *v, struct wall_work *k)
 {
     if (!k)
         return;
     images_destroy(v, k);
+    host_tables_free(k);
     vk_memory_free(v, &k->memory);
     vk_buffer_free(v, &k->back);
     free(k);
@@ -359,7 +435,7 @@ static bool same_wall(const struct bloom_wall *a, const struct bloom_wall *b)
 static bool same_work(const struct wall_work *k, const struct frame *fr)
 {
     return k->used && same_wall(&k->wall, fr->wall) && k->width == fr->target->width && k->height == fr->target->height &&
-           k->channels == fr->target->geometry.channels && k->direct == fr->wall_direct &&
+           k->channels == fr->target->geometry.channels && k->direct == fr->wall_direct && k->host == fr->wall_host &&
            (!fr->wall_direct || !memcmp(&k->plan, fr->b->plan, sizeof(k->plan)));
 }
 
@@ -382,18 +458,22 @@ static void list_sources(struct wall_work *k, const struct frame *fr)
 static int work_make(struct wall_work *k, const struct frame *fr)
 {
     struct bloom *b = fr->b;
-    struct tables *all = calloc(1, sizeof(*all));
     k->used = 0;
     k->has_gain = false;
     images_destroy(&b->vk, k);
+    host_tables_free(k);
     k->wall = *fr->wall;
     k->width = fr->target->width;
     k->height = fr->target->height;
     k->channels = fr->target->geometry.channels;
     k->direct = fr->wall_direct;
+    k->host = fr->wall_host;
     if (k->direct)
         memcpy(&k->plan, b->plan, sizeof(k->plan)); // padding too, for it is compared so
     list_sources(k, fr);
+    if (k->host)
+        return host_tables_make(k, fr);
+    struct tables *all = calloc(1, sizeof(*all));
     int r = all ? 0 : fault_set(fr->f, FAULT_NO_MEMORY, "", "out of memory for a wall's weights");
     if (r == 0)
         r = tables_make(all, k, fr);

@@ -440,6 +440,89 @@ static void test_adaptation(void **state)
     scene_finish(&s);
 }
 
+/* ---- host and shaders ----------------------------------------------------------------------------------------------- */
+
+// The same frames by the other path: each holds the bound, so they are no further apart than twice that.
+static void test_host_and_shaders_agree(void **state)
+{
+    (void)state;
+    struct bloom *const first = engine;
+    struct bloom *other = NULL;
+    struct fault f = { 0 };
+    const struct bloom_options options = { .slots = 2, .validate = validate, .log = log_line, .device = getenv("AIRY_TEST_DEVICE"),
+                                           .staged = !getenv("AIRY_TEST_STAGED"), .threads = 3 };
+    assert_int_equal(bloom_create(&other, &options, &f), 0);
+    for (unsigned i = 0; i < 12; i++) {
+        const uint64_t seed = 900 + i;
+        scene_seed(seed);
+        struct params p = scene_params(i % 2 ? "gaussians:sigma=1/3/9,weight=.3/.2/.3" : "gaussians:sigma=4/8/16/32/64,weight=.2/.2/.2/.2/.2",
+                                       (enum bright_curve)(i % 5), i % 3 ? 1e-3 : 1e-4);
+        struct scene s;
+        scene_init(&s, 257 + 40 * i, 190 + 11 * i, i == 5 ? 1 : 3, i % 4 == 2 ? PIXEL_TYPE_HALF : PIXEL_TYPE_FLOAT);
+        scene_fill(&s);
+        for (unsigned c = 0; c < s.channels; c++) // dim but for some tiles, in a third of the scenes
+            for (size_t k = 0; i % 3 == 1 && k < (size_t)s.width * s.height; k++)
+                if ((k % s.width / 64 * 5 + k / s.width / 64 * 3) % 7)
+                    s.plane[c][k] *= 1e-4;
+        struct bloom_wall w = wall_make(40 + i, 20 + i, -2.5, 3.25, s.width / 41.0, s.height / 23.0);
+        judge(&s, &p, &w, "one");
+        float *one = w.drive;
+        const double bound = s.reply.error_bound, most = s.reply.max_bright;
+        w.drive = calloc((size_t)w.width * w.height * 3, sizeof(float));
+        engine = other;
+        judge(&s, &p, &w, "other");
+        engine = first;
+        assert_true(s.reply.error_bound == bound || fabs(s.reply.error_bound - bound) < 1e-4 * bound + 1e-6);
+        for (size_t k = 0; k < (size_t)w.width * w.height * 3; k++) {
+            const double room = 2 * bound * p.intensity * most + 1e-5 * fabs(one[k]) + 1e-30;
+            if (!(fabs((double)w.drive[k] - (double)one[k]) <= room))
+                fail_msg("seed %d: pixel %zu,%zu,%zu is %.9g by one path, %.9g by the other, room %.3g", (int)seed, k / 3 % w.width,
+                         k / 3 / w.width, k % 3, (double)one[k], (double)w.drive[k], room);
+        }
+        free(one);
+        free(w.drive);
+        scene_finish(&s);
+    }
+    assert_int_equal(bloom_validation_messages(other), 0);
+    bloom_destroy(other);
+}
+
+// After warming, a wall's frames find their weights and pipelines; and they are what they are without.
+static void test_warm(void **state)
+{
+    (void)state;
+    struct fault f = { 0 };
+    struct params p = scene_params("gaussians:sigma=3/7/21,weight=.2/.2/.2", BRIGHT_KNEE, 1e-3);
+    struct bloom_wall w = wall_make(37, 19, 0.5, 0, 5.25, 6.5);
+    struct scene s;
+    scene_init(&s, 203, 131, 3, PIXEL_TYPE_FLOAT);
+    scene_fill(&s);
+    for (unsigned i = 0; i < (unsigned)w.width * w.height * 3; i++)
+        w.drive[i] = 7;
+    w.frame_width = s.width;
+    w.frame_height = s.height;
+    const struct bloom_geometry g = { s.width, s.height, 3, PIXEL_TYPE_FLOAT, 0, bloom_wall_is_direct(&p) ? 0 : 1 };
+    if (bloom_wall_warm(engine, &w, &p, &g, (float)s.aspect, 0, &f) < 0)
+        fail_msg("%s: %s", f.field, f.text);
+    for (unsigned i = 0; i < (unsigned)w.width * w.height * 3; i++)
+        assert_true(w.drive[i] == 7);
+    const unsigned pipelines = engine->pipelines;
+    const float *weights[WALL_KEPT];
+    const VkImage images[WALL_KEPT] = { engine->wall[0]->rows.image, engine->wall[1]->rows.image, engine->wall[2]->rows.image,
+                                        engine->wall[3]->rows.image };
+    for (unsigned i = 0; i < WALL_KEPT; i++)
+        weights[i] = engine->wall[i]->taps[0][0].weight;
+    judge(&s, &p, &w, "warm");
+    assert_int_equal(engine->pipelines, pipelines);
+    for (unsigned i = 0; i < WALL_KEPT; i++)
+        assert_true(engine->wall[i]->taps[0][0].weight == weights[i] && engine->wall[i]->rows.image == images[i]);
+    w.end_y = 99;
+    assert_int_equal(bloom_wall_warm(engine, &w, &p, &g, (float)s.aspect, 0, &f), -1);
+    assert_int_equal(f.code, FAULT_WALL);
+    free(w.drive);
+    scene_finish(&s);
+}
+
 static void test_no_validation_message(void **state)
 {
     (void)state;
@@ -471,7 +554,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_geometries),     cmocka_unit_test(test_rules_and_curves), cmocka_unit_test(test_hard_pixels),
         cmocka_unit_test(test_codes),          cmocka_unit_test(test_split_is_whole),   cmocka_unit_test(test_not_plain),
-        cmocka_unit_test(test_faults),         cmocka_unit_test(test_adaptation),       cmocka_unit_test(test_no_validation_message),
+        cmocka_unit_test(test_faults),         cmocka_unit_test(test_adaptation),       cmocka_unit_test(test_host_and_shaders_agree),
+        cmocka_unit_test(test_warm),           cmocka_unit_test(test_no_validation_message),
     };
     validate = !getenv("AIRY_TEST_VALIDATE") || strcmp(getenv("AIRY_TEST_VALIDATE"), "0") != 0;
     return _cmocka_run_group_tests("wall_engine", tests, sizeof(tests) / sizeof(tests[0]) - !validate, setup, teardown);
