@@ -78,6 +78,7 @@ serve() {
     for t in $pure; do
         AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
     done
+    for t in conn libairy libairy_request libairy_asset asset exr; do
         run "tsan-$t" "$S/tests/test_$t"
     done
     for t in server server_assets server_life server_frames server_looks; do
