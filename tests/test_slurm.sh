@@ -126,8 +126,9 @@ pick() { shuf -n 1 --random-source=<(yes $RANDOM); }
 # A task that was queued again would wait for two minutes.
 hurry() { for j in $(squeue -h -r -t PENDING -o '%A %r' 2>/dev/null | awk '$2 == "BeginTime" { print $1 }'); do scontrol update jobid="$j" starttime=now 2>/dev/null; done; }
 empty() {
+    local left
     hurry
-    [ -z "$(squeue -h -r -t PENDING,RUNNING,COMPLETING,CONFIGURING,SUSPENDED -o %A 2>/dev/null)" ]
+    left=$(squeue -h -r -t PENDING,RUNNING,COMPLETING,CONFIGURING,SUSPENDED -o %A 2>/dev/null) && [ -z "$left" ]
 }
 
 requeued=0 killed=0 cancelled=() daemons=0
@@ -162,7 +163,10 @@ t() {
     for i in $(seq 1 $FRAMES); do
         same "$work/o/f.$(printf %04d "$i").exr" "$work/want/$((i % 5)).exr" || return 1
     done
-    why="left: $(ls -A "$work/o" | grep -v '^f')" && [ "$(ls -A "$work/o" | wc -l)" -eq $FRAMES ]
+    local files
+    files=$(ls -A "$work/o")
+    why="$(wc -l <<<"$files") files; not frames: $(grep -v '^f' <<<"$files"); running: $(runs); $(squeue -h -r | tr '\n' ';')"
+    [ "$(wc -l <<<"$files")" -eq $FRAMES ]
 }
 check "$FRAMES frames, every one the same as by a direct run" t
 t() {
