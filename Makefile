@@ -69,6 +69,7 @@ help:
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
+	@echo "make farm-test  the Slurm script under a real Slurm of one node: installs slurm-wlm and munge (not part of check), needs root"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
 	@echo "make deps     install the Debian packages that are missing (root or sudo)"
 	@echo "make clean    remove build/"
@@ -165,6 +166,9 @@ install: all
 	install -m 644 proto/airy_proto.7 $(DESTDIR)$(PREFIX)/share/man/man7/
 	install -m 644 daemon/airyd.8 $(DESTDIR)$(PREFIX)/share/man/man8/
 	install -m 644 proto/PROTOCOL.md proto/airy.proto $(DESTDIR)$(PREFIX)/share/doc/airyd/
+	install -d $(DESTDIR)$(PREFIX)/share/airy
+	install -m 755 client/farm/airy-slurm.sh $(DESTDIR)$(PREFIX)/share/airy/
+	install -m 644 client/farm/opencue.md client/farm/deadline.md $(DESTDIR)$(PREFIX)/share/doc/airyd/
 	sed 's|/usr/local/bin|$(PREFIX)/bin|' systemd/airyd.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/airyd.service
 	install -m 644 systemd/airyd.socket $(DESTDIR)$(PREFIX)/lib/systemd/system/
 

@@ -15,7 +15,7 @@ enum { JOBS_MAX = 64 };
 const struct option_row bloom_options[BLOOM_OPTIONS] = {
     [BLOOM_OUTPUT] = { "output", 'o', "FILE",
                        "where to; with several frames a pattern such as out.####.exr" },
-    [BLOOM_FRAMES] = { "frames", 'f', "RANGE", "1-100, 1-100x2, 1,5,9-12; default: the frames on disk" },
+    [BLOOM_FRAMES] = { "frames", 'f', "RANGE", "1-100, 1-100x2, 1,5,9-12, 1-2x0.5; default: the frames on disk" },
     [BLOOM_OFFSET] = { "offset", 0, "N", "frame F is written as frame F + N" },
     [BLOOM_OUTPUT_FRAMES] = { "output-frames", 0, "RANGE",
                               "the outputs' numbers, one for each of the inputs', in their order" },

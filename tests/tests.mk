@@ -78,5 +78,12 @@ SOAK_SEED ?= $(shell date +%s)000
 soak: $(T)/test_property
 	AIRY_SEED=$(SOAK_SEED) AIRY_MINUTES=$(MINUTES) $(T)/test_property
 
+# A real workload manager is too heavy for check.
+.PHONY: farm-test
+farm-test: deps
+	@$(MAKE) --no-print-directory deps PKGS_TEST="slurm-wlm munge"
+	@$(SUB) all $(BUILD)/demo/scene
+	@BUILD=$(BUILD) bash tests/test_slurm.sh
+
 include tests/bench/bench.mk
 include tests/report/report.mk
