@@ -89,6 +89,7 @@ t() {
     wait_for 40 idle
 }
 check "slurmctld and slurmd are up" t
+[ $failures -eq 0 ] || { finish_tap; exit; }
 
 # ---- frames, and what they shall become ---------------------------------------------------------------------
 FRAMES=100 CHUNK=10
@@ -181,5 +182,6 @@ t() { # it fails for good, and is not queued again
         { why="its status is $? in sbatch --wait" && [ "$(grep -c '"status":"failed"' "$work/json2/0.jsonl")" -eq $CHUNK ] && ! grep -q 'queued again' "$work/log/bad"; }
 }
 check "an input that is not there fails the task, once" t
+[ $failures -eq 0 ] || cp -r "$work/log" "$work/json" "$BUILD/" 2>/dev/null
 [ $failures -eq 0 ] || tail -20 "$work"/log/* "$work"/json/* 2>/dev/null | cut -c1-300 | sed 's/^/# /'
 finish_tap

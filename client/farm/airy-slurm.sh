@@ -58,6 +58,9 @@ done
 if { [ $status -eq 5 ] || [ $status -eq 137 ]; } && [ "${SLURM_RESTART_COUNT:-0}" -lt "$((10#${AIRY_REQUEUES:-10}))" ]; then
     task=${SLURM_ARRAY_JOB_ID}_$SLURM_ARRAY_TASK_ID
     echo "airy-slurm: status $status: task $task is queued again" >&2
-    scontrol requeue "$task" && sleep 60 # until Slurm ends this attempt: its status would end the task
+    for attempt in 1 2 3 4 5; do # a task that has only just begun, or a busy controller, may refuse at first
+        scontrol requeue "$task" && sleep 60 # until Slurm ends this attempt: its status would end the task
+        sleep $attempt
+    done
 fi
 exit $status
