@@ -72,6 +72,7 @@ help:
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make fuzz     hostile input at every reader for MINUTES=30 (FUZZ=\"exr wall\": only these)"
+	@echo "make farm-test  the Slurm script under a real Slurm of one node: installs slurm-wlm and munge (not part of check), needs root"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
 	@echo "make deb      a Debian package of it -> build/airyd_VERSION_ARCH.deb"
 	@echo "make deps     install the Debian packages that are missing (root or sudo)"

@@ -214,6 +214,9 @@ struct airy_result {
     struct airy_result_private *priv;
     bool has_need;           /* with a wall: */
     struct airy_region need; /* of the frame, what the wall's panels' light comes from, the glow's reach included */
+    /* Of an EXR file: the string attribute "airy" that the output has (plan_only: would have); "": none. The same request on the
+     * same bytes has the same stamp. */
+    const char *stamp;
 };
 
 /* Waits for one request (or any, id 0; airy_wait_any also tells which failed). Each request is reported

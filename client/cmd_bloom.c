@@ -6,17 +6,21 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "cmd.h"
-#include "frames.h"
+#include "cmd_work.h"
 
 enum { JOBS_MAX = 64 };
 
 const struct option_row bloom_options[BLOOM_OPTIONS] = {
     [BLOOM_OUTPUT] = { "output", 'o', "FILE",
                        "where to; with several frames a pattern such as out.####.exr" },
-    [BLOOM_FRAMES] = { "frames", 'f', "RANGE", "1-100, 1-100x2, 1,5,9-12; default: the frames on disk" },
+    [BLOOM_FRAMES] = { "frames", 'f', "RANGE", "1-100, 1-100x2, 1,5,9-12, 1-2x0.5; default: the frames on disk" },
+    [BLOOM_OFFSET] = { "offset", 0, "N", "frame F is written as frame F + N" },
+    [BLOOM_OUTPUT_FRAMES] = { "output-frames", 0, "RANGE",
+                              "the outputs' numbers, one for each of the inputs', in their order" },
+    [BLOOM_ON_MISSING] = { "on-missing", 0, "WORD",
+                           "a frame whose input is not there: fail, skip or black (default fail)" },
     [BLOOM_JOBS] = { "jobs", 'j', "N", "frames in flight at once, 1 to 64 (default 4)" },
     [BLOOM_PART] = { "part", 0, "N|NAME", "part of the file (default: the beauty of each colour part)" },
     [BLOOM_LAYER] = { "layer", 0, "NAME",
@@ -32,6 +36,9 @@ const struct option_row bloom_options[BLOOM_OPTIONS] = {
                        "start a private daemon on this device: cpu, gpu, a number or a name" },
     [BLOOM_OVERWRITE] = { "overwrite", 0, NULL, "replace outputs that are there (the default)" },
     [BLOOM_NO_OVERWRITE] = { "no-overwrite", 0, NULL, "refuse them instead" },
+    [BLOOM_FORCE] = { "force", 0, NULL, "do frames, too, whose output is of the same request on the same input" },
+    [BLOOM_KEEP_GOING] = { "keep-going", 0, NULL, "a bad frame does not stop the others (the default)" },
+    [BLOOM_FAIL_FAST] = { "fail-fast", 0, NULL, "the first bad frame ends the run" },
     [BLOOM_JSON] = { "json", 0, NULL, "one JSON object a line and frame on standard output" },
     [BLOOM_QUIET] = { "quiet", 'q', NULL, "say nothing but errors" },
     [BLOOM_HELP] = { "help", 'h', NULL, "this text" },
@@ -106,14 +113,27 @@ static int param_add(struct bloom_asked *a, const char *name, const char *value)
 
 static bool for_frames(int id)
 {
-    return id == BLOOM_OUTPUT || id == BLOOM_FRAMES || id == BLOOM_JOBS || id == BLOOM_OVERWRITE ||
-           id == BLOOM_NO_OVERWRITE;
+    return (id >= BLOOM_OUTPUT && id <= BLOOM_JOBS) || (id >= BLOOM_OVERWRITE && id <= BLOOM_FAIL_FAST);
+}
+
+static int on_missing_read(enum run_missing *m, const char *value)
+{
+    static const char *const words[] = { [RUN_MISSING_FAIL] = "fail", [RUN_MISSING_SKIP] = "skip", [RUN_MISSING_BLACK] = "black" };
+    for (unsigned i = 0; i < sizeof(words) / sizeof(words[0]); i++)
+        if (strcmp(value, words[i]) == 0) {
+            *m = (enum run_missing)i;
+            return 0;
+        }
+    cmd_complain("bloom: --on-missing %s: fail, skip or black expected", value);
+    return -1;
 }
 
 static int option(struct bloom_asked *a, int id, const char *value)
 {
     struct airy_request *q = &a->run.request;
     const char **texts[] = { [BLOOM_FRAMES] = &a->frames,
+                             [BLOOM_OFFSET] = &a->offset,
+                             [BLOOM_OUTPUT_FRAMES] = &a->output_frames,
                              [BLOOM_PART] = &q->part,
                              [BLOOM_LAYER] = &q->layer,
                              [BLOOM_VIEW] = &q->view,
@@ -139,6 +159,15 @@ static int option(struct bloom_asked *a, int id, const char *value)
     case BLOOM_NO_OVERWRITE:
         a->run.overwrite = id == BLOOM_OVERWRITE;
         return 0;
+    case BLOOM_FORCE:
+        a->run.force = true;
+        return 0;
+    case BLOOM_KEEP_GOING:
+    case BLOOM_FAIL_FAST:
+        a->run.fail_fast = id == BLOOM_FAIL_FAST;
+        return 0;
+    case BLOOM_ON_MISSING:
+        return on_missing_read(&a->run.on_missing, value);
     case BLOOM_JSON:
         a->run.json = true;
         return 0;
@@ -177,116 +206,15 @@ int bloom_asked_read(struct bloom_asked *a, enum bloom_command command, int argc
         cmd_complain("plan: an input expected: airy plan IN");
         return -1;
     }
+    if (a->offset && a->output_frames) {
+        cmd_complain("bloom: --offset and --output-frames: one of them expected");
+        return -1;
+    }
     if (a->run.session.socket && a->run.session.device) {
         cmd_complain("%s: --device is for a private daemon; the one at --socket has its device", command_name(a));
         return -1;
     }
     return 0;
-}
-
-/* ---- which frames ------------------------------------------------------------------------------- */
-
-struct work {
-    struct run_frame *frames;
-    size_t n;
-};
-
-static void work_finish(struct work *w)
-{
-    for (size_t i = 0; i < w->n; i++) {
-        free(w->frames[i].input);
-        free(w->frames[i].output);
-    }
-    free(w->frames);
-}
-
-static enum cmd_exit no_memory(void)
-{
-    cmd_complain("bloom: out of memory");
-    return CMD_OTHER;
-}
-
-static enum cmd_exit work_single(struct work *w, const struct bloom_asked *a)
-{
-    w->frames = calloc(1, sizeof(*w->frames));
-    if (!w->frames)
-        return no_memory();
-    w->n = 1;
-    w->frames[0].input = strdup(a->input);
-    w->frames[0].output = strdup(a->output);
-    return w->frames[0].input && w->frames[0].output ? CMD_DONE : no_memory();
-}
-
-static enum cmd_exit work_fill(struct work *w, const struct frames_list *l,
-                               const struct frames_pattern *in, const struct frames_pattern *out)
-{
-    w->frames = calloc(l->count, sizeof(*w->frames));
-    if (!w->frames)
-        return no_memory();
-    for (; w->n < l->count; w->n++) {
-        struct run_frame *f = &w->frames[w->n];
-        f->numbered = true;
-        f->number = l->frame[w->n];
-        f->input = frames_name(in, f->number);
-        f->output = frames_name(out, f->number);
-        if (!f->input || !f->output) {
-            w->n++;
-            return no_memory();
-        }
-    }
-    return CMD_DONE;
-}
-
-static enum cmd_exit work_range(struct work *w, const struct bloom_asked *a, const struct frames_pattern *in,
-                                const struct frames_pattern *out)
-{
-    struct frames_list l = { 0 };
-    char why[FRAMES_WHY_MAX];
-    enum cmd_exit exit = CMD_DONE;
-    if (a->frames && in->n_tokens == 0) {
-        cmd_complain("bloom: -f %s: the input \"%s\" has no frame token such as ####", a->frames,
-                     a->input);
-        return CMD_USAGE;
-    }
-    if ((a->frames ? frames_parse(&l, a->frames, why) : frames_scan(&l, in, why)) < 0) {
-        cmd_complain("bloom: %s", why);
-        return a->frames ? CMD_USAGE : CMD_INPUT;
-    }
-    if (l.count == 0) {
-        cmd_complain("bloom: no file is named as \"%s\"", a->input);
-        exit = CMD_INPUT;
-    } else if (l.count > 1 && out->n_tokens == 0) {
-        cmd_complain("bloom: %zu frames, and the output \"%s\" has no frame token such as ####", l.count,
-                     a->output);
-        exit = CMD_USAGE;
-    } else {
-        exit = work_fill(w, &l, in, out);
-    }
-    frames_list_finish(&l);
-    return exit;
-}
-
-/* A name that is there is itself, whatever is in it. */
-static enum cmd_exit work_init(struct work *w, const struct bloom_asked *a)
-{
-    struct frames_pattern in, out;
-    char why[FRAMES_WHY_MAX];
-    *w = (struct work){ 0 };
-    if (!a->frames && access(a->input, F_OK) == 0)
-        return work_single(w, a);
-    if (frames_pattern_init(&in, a->input, why) < 0) {
-        cmd_complain("bloom: %s", why);
-        return CMD_USAGE;
-    }
-    enum cmd_exit exit = CMD_USAGE;
-    if (frames_pattern_init(&out, a->output, why) < 0) {
-        cmd_complain("bloom: %s", why);
-    } else {
-        exit = !a->frames && in.n_tokens == 0 ? work_single(w, a) : work_range(w, a, &in, &out);
-        frames_pattern_finish(&out);
-    }
-    frames_pattern_finish(&in);
-    return exit;
 }
 
 enum cmd_exit cmd_bloom(int argc, char **argv)

@@ -12,7 +12,10 @@
 enum bloom_option {
     BLOOM_OUTPUT,
     BLOOM_FRAMES,
-    BLOOM_JOBS,
+    BLOOM_OFFSET,
+    BLOOM_OUTPUT_FRAMES,
+    BLOOM_ON_MISSING,
+    BLOOM_JOBS, /* up to here for airy bloom alone */
     BLOOM_PART,
     BLOOM_LAYER,
     BLOOM_VIEW,
@@ -20,8 +23,11 @@ enum bloom_option {
     BLOOM_COMPRESSION,
     BLOOM_SOCKET,
     BLOOM_DEVICE,
-    BLOOM_OVERWRITE,
+    BLOOM_OVERWRITE, /* these, too */
     BLOOM_NO_OVERWRITE,
+    BLOOM_FORCE,
+    BLOOM_KEEP_GOING,
+    BLOOM_FAIL_FAST,
     BLOOM_JSON,
     BLOOM_QUIET,
     BLOOM_HELP,
@@ -47,7 +53,7 @@ enum bloom_command { BLOOM_FOR_FRAMES, BLOOM_FOR_PLAN };
 struct bloom_asked { /* strings: argv's */
     enum bloom_command command;
     struct run_options run;
-    const char *input, *output, *frames;
+    const char *input, *output, *frames, *offset, *output_frames;
     unsigned operands;
     bool help;
 };

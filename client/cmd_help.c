@@ -136,7 +136,8 @@ static void help_bloom(void)
          "Adds a bloom to EXR frames. All else in the file stays as it is: other channels, parts,\n"
          "attributes, windows. Each output appears whole or not at all. #### is the frame's number\n"
          "(also #, @@@, %04d, $F4). Where a parameter takes the digest of an image, a file that is there\n"
-         "(--dirt FILE, --psf image:FILE) is sent to the daemon first.\n"
+         "(--dirt FILE, --psf image:FILE) is sent to the daemon first. A frame whose output is there\n"
+         "already, of the same request on the same input, is left as it is.\n"
          "\n"
          "Options:");
     for (unsigned i = 0; i < BLOOM_PARAMS; i++)

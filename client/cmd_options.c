@@ -6,7 +6,7 @@
 
 #include "cmd.h"
 
-enum { NAME_MAX_LEN = 31, NAMES_MAX = 64 };
+enum { NAME_MAX_LEN = 31, NAMES_MAX = 128 };
 
 void options_init(struct options *o, int argc, char **argv, const struct option_row *rows, size_t n_rows)
 {

@@ -2,14 +2,20 @@
 // cmd_output.c - cmd_output.h's promise, step by step. The temporary file is in the target's folder,
 // since only there is rename atomic; a symbolic link is followed first, so that it still is one
 // afterwards.
+//
+// Who writes a temporary file holds a lock (flock) on it until it has its last name: so a file that can be locked is of a
+// run that has died, by kill -9 or a lost machine, and may go. Where locks do not reach other machines a
+// living run's file may go, too: it then misses it at the rename, and writes it again.
 #include "cmd_output.h"
 
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <dirent.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/random.h>
 #include <sys/sendfile.h>
 #include <sys/stat.h>
@@ -132,45 +138,152 @@ static int fill(int fd, const struct airy_result *r, const struct place *p)
     return e;
 }
 
+#define TEMP_MARK ".airy-"
+enum { TEMP_DIGITS = 16, TEMP_BASE_MAX = 200, ATTEMPTS_MAX = 100, WRITES_MAX = 5 };
+
+/* Is the name still this file's? */
+static bool is_there(int folder_fd, const char *name, int fd)
+{
+    struct stat named, held;
+    return fstat(fd, &held) == 0 && fstatat(folder_fd, name, &named, AT_SYMLINK_NOFOLLOW) == 0 &&
+           held.st_ino == named.st_ino && held.st_dev == named.st_dev;
+}
+
+/* Locked; where there are no locks, not. One that went between its making and its locking is made again. */
 static int temp_open(const struct place *p, char *name, size_t size)
 {
-    for (unsigned attempt = 0; attempt < 100; attempt++) {
+    for (unsigned attempt = 0; attempt < ATTEMPTS_MAX; attempt++) {
         uint64_t random;
         if (getrandom(&random, sizeof(random), 0) != sizeof(random))
             return -EIO;
-        snprintf(name, size, ".%.200s.airy-%016llx", p->base, (unsigned long long)random);
-        int fd = openat(p->folder_fd, name, O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
-        if (fd >= 0 || errno != EEXIST)
-            return fd >= 0 ? fd : -errno;
+        snprintf(name, size, ".%.*s" TEMP_MARK "%0*llx", TEMP_BASE_MAX, p->base, TEMP_DIGITS,
+                 (unsigned long long)random);
+        int fd = openat(p->folder_fd, name, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC | O_NOFOLLOW, 0666);
+        if (fd < 0 && errno != EEXIST)
+            return -errno;
+        if (fd < 0)
+            continue;
+        bool taken = flock(fd, LOCK_EX | LOCK_NB) < 0 && errno == EWOULDBLOCK;
+        if (!taken && is_there(p->folder_fd, name, fd))
+            return fd;
+        close(fd);
     }
     return -EEXIST;
+}
+
+/* Closes fd in such a way that its lock stays: *lock is closed by the caller. Network file systems say at the first close what
+ * went wrong. */
+static int close_locked(int fd, int *lock)
+{
+    *lock = dup(fd);
+    int e = *lock < 0 ? -errno : 0;
+    return close(fd) < 0 && e == 0 ? -errno : e;
+}
+
+/* The new name is on the disk, too. Some file systems have no fsync of folders. */
+static int folder_sync(const struct place *p)
+{
+    return fsync(p->folder_fd) < 0 && errno != EINVAL && errno != ENOTSUP && errno != EBADF ? -errno : 0;
+}
+
+static int give_name(const struct place *p, const char *temp, bool overwrite)
+{
+    if (renameat2(p->folder_fd, temp, p->folder_fd, p->base, overwrite ? 0 : RENAME_NOREPLACE) == 0)
+        return 0;
+    if (overwrite || errno != EINVAL)
+        return -errno;
+    /* No such rename here; a link does not replace either. */
+    if (linkat(p->folder_fd, temp, p->folder_fd, p->base, 0) < 0)
+        return -errno;
+    unlinkat(p->folder_fd, temp, 0);
+    return 0;
+}
+
+/* 0, or -errno: nothing is left, and what was there is as it was. -ENOENT: the temporary file was taken away. */
+static int write_once(const struct place *p, const struct airy_result *r, bool overwrite)
+{
+    sigset_t saved;
+    static char temp[NAME_MAX + 1]; /* the signal handler looks at it */
+    int lock = -1;
+    cleanup_hold(&saved);
+    int fd = temp_open(p, temp, sizeof(temp));
+    if (fd >= 0)
+        cleanup_set_file(p->folder_fd, temp);
+    cleanup_release(&saved);
+    if (fd < 0)
+        return fd;
+    int e = fill(fd, r, p), closed = close_locked(fd, &lock);
+    e = e ? e : closed;
+    cleanup_hold(&saved);
+    if (e == 0)
+        e = give_name(p, temp, overwrite);
+    if (e < 0)
+        unlinkat(p->folder_fd, temp, 0);
+    cleanup_set_file(-1, NULL);
+    cleanup_release(&saved);
+    if (lock >= 0)
+        close(lock);
+    return e;
 }
 
 int output_write(const char *path, const struct airy_result *r, bool overwrite, char *why)
 {
     struct place p;
-    sigset_t saved;
-    static char temp[NAME_MAX + 1]; /* the signal handler looks at it */
+    int e = -ENOENT;
     if (place_init(&p, path, overwrite, why) < 0)
         return -1;
-    cleanup_hold(&saved);
-    int fd = temp_open(&p, temp, sizeof(temp));
-    if (fd >= 0)
-        cleanup_set_file(p.folder_fd, temp);
-    cleanup_release(&saved);
-    int e = fd < 0 ? fd : fill(fd, r, &p);
-    if (fd >= 0 && close(fd) < 0 && e == 0)
-        e = -errno;
-    cleanup_hold(&saved);
-    if (e == 0 &&
-        renameat2(p.folder_fd, temp, p.folder_fd, p.base, overwrite ? 0 : RENAME_NOREPLACE) < 0)
-        e = -errno;
-    if (fd >= 0 && e < 0)
-        unlinkat(p.folder_fd, temp, 0);
-    cleanup_set_file(-1, NULL);
-    cleanup_release(&saved);
+    for (unsigned i = 0; e == -ENOENT && i < WRITES_MAX; i++)
+        e = write_once(&p, r, overwrite);
     if (e == 0)
-        fsync(p.folder_fd); /* of the name; the data is safe, and some file systems refuse this */
+        e = folder_sync(&p);
     place_finish(&p);
     return e < 0 ? fail_with(why, path, "cannot be written", -e) : 0;
+}
+
+/* ---- what dead runs left ------------------------------------------------------------------------ */
+
+/* Of ".BASE.airy-0123456789abcdef": BASE's length; 0: not such a name. */
+static size_t temp_base(const char *name)
+{
+    size_t len = strlen(name), tail = sizeof(TEMP_MARK) - 1 + TEMP_DIGITS;
+    if (name[0] != '.' || len < 2 + tail || strncmp(name + len - tail, TEMP_MARK, sizeof(TEMP_MARK) - 1) != 0 ||
+        strspn(name + len - TEMP_DIGITS, "0123456789abcdef") != TEMP_DIGITS)
+        return 0;
+    return len - 1 - tail;
+}
+
+static bool remove_dead(int folder_fd, const char *name)
+{
+    struct stat s;
+    bool removed = false;
+    int fd = openat(folder_fd, name, O_RDWR | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK);
+    if (fd < 0)
+        return false;
+    if (fstat(fd, &s) == 0 && S_ISREG(s.st_mode) && flock(fd, LOCK_EX | LOCK_NB) == 0 && is_there(folder_fd, name, fd))
+        removed = unlinkat(folder_fd, name, 0) == 0;
+    close(fd);
+    return removed;
+}
+
+unsigned output_clean(const char *folder, bool (*is_ours)(void *ctx, const char *base, size_t len), void *ctx)
+{
+    unsigned removed = 0;
+    struct dirent *entry;
+    DIR *d = opendir(folder);
+    if (!d)
+        return 0;
+    while ((entry = readdir(d))) {
+        size_t len = temp_base(entry->d_name);
+        if (len && is_ours(ctx, entry->d_name + 1, len))
+            removed += remove_dead(dirfd(d), entry->d_name);
+    }
+    closedir(d);
+    return removed;
+}
+
+bool output_is_base(const char *path, const char *base, size_t len)
+{
+    const char *slash = strrchr(path, '/'), *own = slash ? slash + 1 : path;
+    size_t own_len = strnlen(own, TEMP_BASE_MAX);
+    return own_len == len && memcmp(own, base, len) == 0;
 }

@@ -8,6 +8,7 @@
 #define AIRY_CMD_OUTPUT_H
 
 #include <stdbool.h>
+#include <stddef.h>
 
 #include "airy.h"
 
@@ -17,5 +18,10 @@ enum { OUTPUT_WHY_MAX = 1024 };
  * (OUTPUT_WHY_MAX bytes, naming the path). */
 int output_check(const char *path, bool overwrite, char *why);
 int output_write(const char *path, const struct airy_result *r, bool overwrite, char *why);
+
+/* Removes the temporary files in a folder that nobody is writing any more, of the outputs for which is_ours says so (base: the
+ * beginning of the output's name, output_is_base compares). Returns how many. */
+unsigned output_clean(const char *folder, bool (*is_ours)(void *ctx, const char *base, size_t len), void *ctx);
+bool output_is_base(const char *path, const char *base, size_t len);
 
 #endif

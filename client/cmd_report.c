@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "cmd_json.h"
+#include "frames.h"
 
 /* All targets as one. */
 static struct airy_target total_of(const struct airy_result *r)
@@ -110,15 +111,16 @@ static void json_notes(struct json *j, const struct airy_result *r)
     json_close(j, ']');
 }
 
-static void json_frame(struct json *j, const struct report_frame *f)
+static void json_frame(struct json *j, const struct report_frame *f, const char *status)
 {
     json_open(j, NULL, '{');
     if (f->numbered)
-        json_integer(j, "frame", f->number);
+        json_number(j, "frame", (double)f->number / (double)FRAMES_ONE);
     else
         json_null(j, "frame");
     json_string(j, "input", f->input);
     json_string(j, "output", f->output);
+    json_string(j, "status", status);
 }
 
 static void json_times(struct json *j, const char *key, const struct airy_times *ms, double write_ms)
@@ -139,7 +141,8 @@ void report_json_done(const struct report_frame *f, const struct airy_result *r,
 {
     struct json j = { .out = stdout };
     struct airy_target sum = total_of(r);
-    json_frame(&j, f);
+    json_frame(&j, f, f->black ? "black" : "done");
+    json_string(&j, "stamp", r->stamp);
     json_measures(&j, &sum);
     json_open(&j, "targets", '[');
     for (unsigned i = 0; i < r->n_targets; i++) {
@@ -187,7 +190,7 @@ void report_json_plan(const char *input, const struct airy_result *r)
 void report_json_error(const struct report_frame *f, const struct airy_error *e, enum cmd_exit exit)
 {
     struct json j = { .out = stdout };
-    json_frame(&j, f);
+    json_frame(&j, f, "failed");
     json_open(&j, "error", '{');
     json_integer(&j, "code", e->code);
     json_string(&j, "symbol", e->symbol);
@@ -261,6 +264,15 @@ void report_json_status_fields(struct json *j, const struct airy_status *s)
     json_bool(j, "draining", s->draining);
 }
 
+void report_json_pass(const struct report_frame *f, enum report_pass pass, const char *stamp)
+{
+    struct json j = { .out = stdout };
+    json_frame(&j, f, pass == REPORT_SKIPPED ? "skipped" : "missing");
+    json_string(&j, "stamp", stamp);
+    json_close(&j, '}');
+    json_line(&j);
+}
+
 void report_json_status(const struct airy_status *s)
 {
     struct json j = { .out = stdout };
@@ -304,6 +316,14 @@ void report_line(struct progress *p, const struct report_frame *f, const struct 
         progress_line(p, "%s: %s, %u levels, error <= %.2g, %.0f ms", f->output, t.rule, t.levels,
                       t.error_bound, r->ms.total);
     warn_nonfinite(p, f, &t);
+}
+
+void report_pass(struct progress *p, const struct report_frame *f, enum report_pass pass)
+{
+    if (pass == REPORT_SKIPPED)
+        progress_line(p, "%s: is there already, of the same request on the same input (--force does it again)", f->output);
+    else
+        progress_line(p, "%s: is not there, and left out", f->input);
 }
 
 static void target_paragraph(struct progress *p, const struct airy_target *t)

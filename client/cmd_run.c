@@ -6,18 +6,21 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "cmd_asset.h"
+#include "cmd_exr.h"
 #include "cmd_output.h"
 #include "cmd_report.h"
 
 enum {
     TRIES_MAX = 3,        /* of a frame whose daemon was lost, or that failed and may be tried again */
     BUSY_TRIES_MAX = 200, /* waits of up to 2 s */
+    RECONNECT_MS = 15000, /* for a daemon that was there and has gone */
     CODE_NO_ASSET = 223,
     CODE_BUSY = 400,
     CODE_SHUTTING_DOWN = 502,
@@ -32,6 +35,7 @@ struct run {
     bool hold;  /* the daemon is busy: submit nothing until something ends */
     bool abort; /* the request itself is wrong */
     bool failed;
+    bool was_connected;
     bool assets_named, assets_sent; /* sent: to the daemon of this session */
     struct airy_request request;    /* with the digests, once they are sent */
     enum cmd_exit status; /* CMD_DONE until a frame failed for good */
@@ -57,7 +61,7 @@ static struct airy_error local_error(int code, const char *field, const char *te
 
 static struct report_frame report_of(const struct run_frame *f)
 {
-    return (struct report_frame){ f->numbered, f->number, f->input, f->output };
+    return (struct report_frame){ f->numbered, f->number, f->black, f->input, f->output };
 }
 
 /* ---- a frame's end ----------------------------------------------------------------------------- */
@@ -81,7 +85,7 @@ static void frame_fail_silently(struct run *r, struct run_frame *f, const struct
         report_json_error(&report, e, exit);
     if (r->status == CMD_DONE && exit != CMD_RETRY)
         r->status = exit;
-    r->abort = r->abort || exit == CMD_USAGE;
+    r->abort = r->abort || exit == CMD_USAGE || r->o->fail_fast;
     frame_end(r, f, true);
 }
 
@@ -98,6 +102,7 @@ static void frame_again(struct run *r, struct run_frame *f)
     if (f->state == RUN_IN_FLIGHT)
         r->in_flight--;
     f->state = RUN_WAITING;
+    f->asking = false;
 }
 
 static void frame_done(struct run *r, struct run_frame *f, const struct airy_result *result)
@@ -118,6 +123,26 @@ static void frame_done(struct run *r, struct run_frame *f, const struct airy_res
     else if (!r->progress.bar)
         report_line(&r->progress, &report, result);
     frame_end(r, f, false);
+}
+
+static void frame_pass(struct run *r, struct run_frame *f, enum report_pass pass, const char *stamp)
+{
+    struct report_frame report = report_of(f);
+    if (r->o->json)
+        report_json_pass(&report, pass, stamp);
+    else if (r->n == 1 || !r->progress.bar)
+        report_pass(&r->progress, &report, pass);
+    frame_end(r, f, false);
+}
+
+/* What the output would be stamped with is known. */
+static void frame_judge(struct run *r, struct run_frame *f, const struct airy_result *result)
+{
+    f->asked = true;
+    if (exr_is_stamped(f->output, result->stamp))
+        frame_pass(r, f, REPORT_SKIPPED, result->stamp);
+    else
+        frame_again(r, f);
 }
 
 /* ---- the connection ------------------------------------------------------------------------------ */
@@ -185,9 +210,11 @@ int run_input_open(const char *path, char *why, size_t size)
     int fd = open(path, O_RDONLY | O_CLOEXEC | O_NONBLOCK); /* a FIFO must not hold us up */
     if (fd >= 0 && fstat(fd, &s) == 0 && S_ISREG(s.st_mode))
         return fd;
-    snprintf(why, size, "%.300s: %s", path, fd < 0 ? strerror(errno) : "not a regular file");
+    int error = fd < 0 ? errno : EINVAL;
+    snprintf(why, size, "%.300s: %s", path, fd < 0 ? strerror(error) : "not a regular file");
     if (fd >= 0)
         close(fd);
+    errno = error;
     return -1;
 }
 
@@ -196,6 +223,7 @@ static void request_submit(struct run *r, struct run_frame *f, int input_fd)
     struct airy_request request = r->request;
     struct airy_error e;
     request.input_fd = input_fd;
+    request.plan_only = f->asking;
     if (airy_submit(r->session.airy, &request, &f->id, &e) == 0) {
         f->state = RUN_IN_FLIGHT;
         r->in_flight++;
@@ -232,25 +260,59 @@ static bool assets_ready(struct run *r, struct run_frame *f)
     return false;
 }
 
-/* A daemon is looked for, or started, only when there is something to send. */
+/* The frame's input, or a black one in its place; -1: the frame has ended. */
+static int frame_input(struct run *r, struct run_frame *f)
+{
+    char why[EXR_WHY_MAX];
+    _Static_assert((int)EXR_WHY_MAX >= (int)RUN_WHY_MAX, "both are said with it");
+    int fd = run_input_open(f->input, why, RUN_WHY_MAX);
+    f->black = false;
+    if (fd >= 0)
+        return fd;
+    bool missing = errno == ENOENT;
+    if (missing && r->o->on_missing == RUN_MISSING_SKIP) {
+        frame_pass(r, f, REPORT_MISSING, NULL);
+        return -1;
+    }
+    if (missing && f->model && (fd = exr_black(f->model, why)) >= 0) {
+        f->black = true;
+        return fd;
+    }
+    struct airy_error e = local_error(missing ? ENOENT : EIO, "input", why);
+    frame_fail(r, f, &e, CMD_INPUT);
+    return -1;
+}
+
+/* A daemon is looked for, or started, only when there is something to send; one that was there is waited for. */
+static bool session_ready(struct run *r)
+{
+    struct airy_error e;
+    double end_ms = now_ms() + RECONNECT_MS;
+    while (!r->session.airy && session_open(&r->session, &r->o->session, &e) < 0) {
+        if (!r->was_connected || now_ms() > end_ms || cmd_exit_of(&e) != CMD_RETRY) {
+            fail_all(r, &e);
+            return false;
+        }
+        pause_for(100);
+    }
+    return r->was_connected = true;
+}
+
 static void frame_submit(struct run *r, struct run_frame *f)
 {
     char why[OUTPUT_WHY_MAX];
-    struct airy_error e;
-    int fd = run_input_open(f->input, why, sizeof(why));
-    if (fd < 0) {
-        e = local_error(ENOENT, "input", why);
-        frame_fail(r, f, &e, CMD_INPUT);
-    } else if (output_check(f->output, r->o->overwrite, why) < 0) {
-        e = local_error(EIO, "output", why);
+    int fd = frame_input(r, f);
+    if (fd < 0)
+        return;
+    /* Only a file with a stamp is worth a question. */
+    f->asking = !r->o->force && !f->asked && exr_has_stamp(f->output);
+    if (!f->asking && output_check(f->output, r->o->overwrite, why) < 0) {
+        struct airy_error e = local_error(EIO, "output", why);
         frame_fail(r, f, &e, CMD_OUTPUT);
-    } else if (!r->session.airy && session_open(&r->session, &r->o->session, &e) < 0) {
-        fail_all(r, &e);
-    } else if (assets_ready(r, f)) {
+    } else if (session_ready(r) && assets_ready(r, f)) {
         request_submit(r, f, fd);
     }
-    if (fd >= 0)
-        close(fd);
+    close(fd);
 }
 
 static void submit_some(struct run *r)
@@ -281,7 +343,9 @@ static void receive_one(struct run *r)
     struct airy_error e;
     int got = airy_wait_any(r->session.airy, -1, &id, &result, &e);
     struct run_frame *f = id ? frame_of(r, id) : NULL;
-    if (got == 1 && f)
+    if (got == 1 && f && f->asking)
+        frame_judge(r, f, result);
+    else if (got == 1 && f)
         frame_done(r, f, result);
     else if (got == -1 && f && !(e.code < 0 && airy_fd(r->session.airy) < 0))
         frame_refused(r, f, &e);
@@ -290,10 +354,39 @@ static void receive_one(struct run *r)
     airy_result_free(result);
 }
 
+static bool is_output(void *ctx, const char *base, size_t len)
+{
+    const struct run *r = ctx;
+    for (size_t i = 0; i < r->n; i++)
+        if (output_is_base(r->frames[i].output, base, len))
+            return true;
+    return false;
+}
+
+/* What earlier runs on these frames left half-written when they were killed, once for each folder. */
+static void clean_folders(struct run *r)
+{
+    const char *last = "";
+    size_t last_len = 0;
+    for (size_t i = 0; i < r->n; i++) {
+        const char *output = r->frames[i].output, *slash = strrchr(output, '/');
+        size_t len = slash ? (size_t)(slash + 1 - output) : 0;
+        if (i > 0 && len == last_len && memcmp(output, last, len) == 0)
+            continue;
+        char *folder = len ? strndup(output, len) : strdup(".");
+        if (folder)
+            output_clean(folder, is_output, r);
+        free(folder);
+        last = output;
+        last_len = len;
+    }
+}
+
 enum cmd_exit run_frames(const struct run_options *o, struct run_frame *frames, size_t n)
 {
     struct run r = { .o = o, .frames = frames, .n = n, .session = SESSION_NONE };
     r.assets_named = assets_named(&o->request);
+    clean_folders(&r);
     progress_begin(&r.progress, n, o->quiet || (o->json && n == 1));
     while (r.ended < n && !r.abort) {
         while (r.first_open < n && frames[r.first_open].state == RUN_ENDED)

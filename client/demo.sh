@@ -44,8 +44,8 @@ done
 
 # The first frame pays for pages and caches; the second is what a farm sees.
 echo "airy bloom $out/in.exr $out/out.exr"
-"$build/airy" bloom "$out/in.exr" "$out/out.exr" --socket "$run/airyd.sock" --quiet
-"$build/airy" bloom "$out/in.exr" "$out/out.exr" --socket "$run/airyd.sock"
+"$build/airy" bloom "$out/in.exr" "$out/out.exr" --socket "$run/airyd.sock" --force --quiet
+"$build/airy" bloom "$out/in.exr" "$out/out.exr" --socket "$run/airyd.sock" --force
 echo
 "$build/airy" status --socket "$run/airyd.sock"
 echo

@@ -73,6 +73,22 @@ void frames_pattern_finish(struct frames_pattern *p)
     *p = (struct frames_pattern){ 0 };
 }
 
+/* printf's %0*d of the whole part, and the decimals. */
+static size_t number_write(char *out, size_t size, int64_t frame, unsigned width)
+{
+    bool negative = frame < 0;
+    uint64_t size_of = negative ? (uint64_t)-frame : (uint64_t)frame;
+    unsigned digits = width > (unsigned)negative ? width - (unsigned)negative : 1;
+    size_t n = (size_t)snprintf(out, size, "%s%0*" PRIu64, negative ? "-" : "", (int)digits,
+                                size_of / (uint64_t)FRAMES_ONE);
+    if (size_of % (uint64_t)FRAMES_ONE == 0)
+        return n;
+    n += (size_t)snprintf(out + n, size - n, ".%06" PRIu64, size_of % (uint64_t)FRAMES_ONE);
+    while (out[n - 1] == '0')
+        out[--n] = '\0';
+    return n;
+}
+
 char *frames_name(const struct frames_pattern *p, int64_t frame)
 {
     size_t room = strlen(p->text) + FRAMES_TOKENS_MAX * (WIDTH_MAX + 24) + 1, used = 0, from = 0;
@@ -82,7 +98,7 @@ char *frames_name(const struct frames_pattern *p, int64_t frame)
     for (unsigned i = 0; i < p->n_tokens; i++) {
         memcpy(name + used, p->text + from, p->token[i].begin - from);
         used += p->token[i].begin - from;
-        used += (size_t)snprintf(name + used, room - used, "%0*" PRId64, (int)p->token[i].width, frame);
+        used += number_write(name + used, room - used, frame, p->token[i].width);
         from = p->token[i].end;
     }
     snprintf(name + used, room - used, "%s", p->text + from);
@@ -150,23 +166,55 @@ void frames_list_finish(struct frames_list *l)
     *l = (struct frames_list){ 0 };
 }
 
-/* A number with at most 9 digits; *s moves on. */
+/* A number with at most 9 digits and 6 decimals in the `len` bytes at s, which are it wholly. */
+static bool number_from(const char *s, size_t len, int64_t *out)
+{
+    const char *end = s + len;
+    bool negative = len && *s == '-';
+    uint64_t value = 0, unit = (uint64_t)FRAMES_ONE;
+    const char *digits = s += negative;
+    for (; s < end && isdigit((unsigned char)*s); s++) {
+        value = 10 * value + (uint64_t)(*s - '0');
+        if (value > (uint64_t)(FRAMES_NUMBER_MAX / FRAMES_ONE))
+            return false;
+    }
+    if (s == digits)
+        return false;
+    value *= unit;
+    if (s < end && *s == '.') {
+        for (digits = ++s; s < end && isdigit((unsigned char)*s) && unit > 1; s++)
+            value += (unit /= 10) * (uint64_t)(*s - '0');
+        if (s == digits)
+            return false;
+    }
+    *out = negative ? -(int64_t)value : (int64_t)value;
+    return s == end && value <= (uint64_t)FRAMES_NUMBER_MAX;
+}
+
+/* Bytes at s that look like a number, its decimals included. */
+static size_t number_length(const char *s)
+{
+    static const char digit[] = "0123456789";
+    size_t n = *s == '-';
+    n += strspn(s + n, digit);
+    size_t decimals = s[n] == '.' ? strspn(s + n + 1, digit) : 0;
+    return decimals ? n + 1 + decimals : n;
+}
+
+/* The longest number at *s, which moves on. */
 static bool number_read(const char **s, int64_t *out)
 {
-    const char *digits = *s + (**s == '-');
-    size_t n = strspn(digits, "0123456789");
-    if (n == 0 || n > 32)
+    size_t n = number_length(*s);
+    if (!number_from(*s, n, out))
         return false;
-    errno = 0;
-    *out = strtoll(*s, NULL, 10);
-    *s = digits + n;
-    return errno == 0 && *out >= -FRAMES_NUMBER_MAX && *out <= FRAMES_NUMBER_MAX;
+    *s += n;
+    return true;
 }
 
 /* "A", "A-B" or "A-BxN"; *s moves on. */
 static bool range_read(const char **s, int64_t *first, int64_t *last, int64_t *step)
 {
-    *step = 1;
+    *step = FRAMES_ONE;
     if (!number_read(s, first))
         return false;
     *last = *first;
@@ -178,7 +226,7 @@ static bool range_read(const char **s, int64_t *first, int64_t *last, int64_t *s
     if (**s != 'x')
         return true;
     ++*s;
-    return isdigit((unsigned char)**s) && number_read(s, step) && *step >= 1;
+    return isdigit((unsigned char)**s) && number_read(s, step) && *step > 0;
 }
 
 int frames_parse(struct frames_list *l, const char *text, char *why)
@@ -189,9 +237,8 @@ int frames_parse(struct frames_list *l, const char *text, char *why)
         const char *piece = s;
         if (!range_read(&s, &first, &last, &step) || (*s && *s != ',')) {
             snprintf(why, FRAMES_WHY_MAX,
-                     "frames \"%.120s\", at character %zu, \"%.40s\": ranges such as 1-100, 1-100x2 or "
-                     "1,5,9-12 "
-                     "expected",
+                     "frames \"%.120s\", at character %zu, \"%.40s\": ranges such as 1-100, 1-100x2, "
+                     "1,5,9-12 or 1-2x0.5 expected",
                      text, (size_t)(piece - text) + 1, piece);
             goto fail;
         }
@@ -217,22 +264,49 @@ fail:
     return -1;
 }
 
+int frames_parse_offset(int64_t *offset, const char *text, char *why)
+{
+    const char *s = text + (*text == '+' && isdigit((unsigned char)text[1]));
+    if (number_from(s, strlen(s), offset))
+        return 0;
+    snprintf(why, FRAMES_WHY_MAX, "offset \"%.120s\": a number such as 1000 or -12 expected", text);
+    return -1;
+}
+
+int frames_shift(struct frames_list *l, int64_t offset, char *why)
+{
+    for (size_t i = 0; i < l->count; i++) {
+        int64_t moved = l->frame[i] + offset; /* both at most 10^15 */
+        if (moved < -FRAMES_NUMBER_MAX || moved > FRAMES_NUMBER_MAX) {
+            snprintf(why, FRAMES_WHY_MAX, "frame %" PRId64 " with its offset: at most 9 digits expected",
+                     l->frame[i] / FRAMES_ONE);
+            return -1;
+        }
+    }
+    for (size_t i = 0; i < l->count; i++)
+        l->frame[i] += offset;
+    return 0;
+}
+
 /* ---- what is on disk --------------------------------------------------------------------------------
  */
 
-/* Is `name` (no folder) a frame of base? */
+/* Is `name` (no folder) a frame of base? Digits after the token are the pattern's own, or decimals: each is tried. */
 static bool name_matches(const struct frames_pattern *base, const char *name, int64_t *frame)
 {
     size_t prefix = base->token[0].begin;
     if (strncmp(name, base->text, prefix) != 0)
         return false;
-    const char *s = name + prefix;
-    if (!number_read(&s, frame))
-        return false;
-    char *written = frames_name(base, *frame);
-    bool same = written && strcmp(written, name) == 0;
-    free(written);
-    return same;
+    for (size_t n = number_length(name + prefix); n > 0; n--) {
+        if (!number_from(name + prefix, n, frame))
+            continue;
+        char *written = frames_name(base, *frame);
+        bool same = written && strcmp(written, name) == 0;
+        free(written);
+        if (same)
+            return true;
+    }
+    return false;
 }
 
 static int scan_folder(struct frames_list *l, const struct frames_pattern *base, const char *folder,

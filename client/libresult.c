@@ -170,6 +170,7 @@ static int copy_facts(struct airy_result *r, const Airy__Result *b, struct airy_
     r->notes = (const char *const *)b->notes;
     r->n_notes = (unsigned)b->n_notes;
     r->exposure = b->exposure;
+    r->stamp = b->stamp;
     r->has_need = b->need != NULL;
     if (b->need)
         r->need = (struct airy_region){ b->need->x, b->need->y, b->need->width, b->need->height };

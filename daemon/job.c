@@ -87,15 +87,29 @@ static int load(struct job *j, struct fault *f)
     return rc;
 }
 
+// What chooses the pixels and how they are stored, beside the parameters: a run on another layer is another request.
+static void choice_digest(const struct job *j, char hex[ASSET_DIGEST_MAX])
+{
+    char text[sizeof j->part + sizeof j->layer + sizeof j->view + 64] = { 0 };
+    size_t n = 0;
+    n += strlen(strcpy(text + n, j->part)) + 1; // the zeros keep the names apart
+    n += strlen(strcpy(text + n, j->layer)) + 1;
+    n += strlen(strcpy(text + n, j->view)) + 1;
+    n += (size_t)snprintf(text + n, sizeof text - n, "%d %d", (int)j->exr_options.pixels, j->exr_options.compression);
+    asset_digest(hex, text, n);
+}
+
 // The same request on the same bytes has the same stamp: no times, no names of hosts or users.
 static void stamp(struct job *j)
 {
-    char hex[ASSET_DIGEST_MAX], params[JOB_STAMP_MAX - 128];
+    char hex[ASSET_DIGEST_MAX], choice[ASSET_DIGEST_MAX], params[PARAMS_LINE_MAX];
     asset_digest(hex, j->input.data, j->input.size);
+    choice_digest(j, choice);
     int n = params_print(&j->params, params, sizeof params);
     assert(n >= 0 && (size_t)n < sizeof params);
     (void)n;
-    snprintf(j->stamp, sizeof j->stamp, "airyd %s; params: %s; input xxh3:%s", AIRY_VERSION, params, hex);
+    snprintf(j->stamp, sizeof j->stamp, "airyd %s; params: %s; choice xxh3:%s; input xxh3:%s", AIRY_VERSION, params,
+             choice, hex);
     j->exr_options.stamp = j->stamp;
 }
 
@@ -550,6 +564,11 @@ static bool hands_on(const struct job *j)
            p->encoding == ENCODING_LINEAR && p->view_spec.view == VIEW_FINAL && !p->layer_count &&
            p->nonfinite != NONFINITE_ZERO && !(p->grow_size.value > 0) && j->exr_options.compression == EXR_KEEP &&
            j->exr_options.pixels == EXR_PIXELS_KEEP;
+}
+
+const char *job_stamp(const struct job *j)
+{
+    return j->raw || j->walled || hands_on(j) ? "" : j->stamp;
 }
 
 static int assemble(struct job *j, int (*to)(void *ctx, const void *data, size_t len), struct fault *f)

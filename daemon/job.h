@@ -58,7 +58,7 @@ enum job_stage {
 enum job_kind { JOB_BLOOMS, JOB_PLANS, JOB_KEEPS };
 enum job_output { JOB_OUTPUT_INLINE, JOB_OUTPUT_MEMFD, JOB_OUTPUT_BUFFER, JOB_OUTPUT_NONE, JOB_OUTPUT_WALL };
 
-enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 128 };
+enum { JOB_NOTES_MAX = 8, JOB_NOTE_MAX = 160, JOB_STAMP_MAX = PARAMS_LINE_MAX + 192 };
 
 struct job_limits {
     uint64_t max_frame_bytes; /* a payload, either way */
@@ -188,6 +188,8 @@ bool job_wants_plan(const struct job *j);
 unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS_MAX]);
 /* After OPEN: bytes that it takes beside its planes until it is done, its result's included. Never less than what it will take. */
 uint64_t job_work_bytes(const struct job *j);
+/* After OPEN: the attribute that the output file has; "" when it has none. The job's. */
+const char *job_stamp(const struct job *j);
 /* Hands the planes of the job's slot to the decoder and encoder. */
 void job_bind(struct job *j, const struct planes *in, const struct planes *out);
 /* PLAN and BLOOM, all scenes. */

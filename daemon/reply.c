@@ -271,6 +271,8 @@ int reply_result(struct conn *c, struct job *j, const struct reply_facts *facts)
     r.notes = notes;
     r.n_notes = j->n_notes;
     r.exposure = j->scene[0].bloom.exposure;
+    reply_clean(j->stamp);
+    r.stamp = (char *)job_stamp(j);
     Airy__Region need = AIRY__REGION__INIT;
     if (j->of_wall.has_need) {
         need.x = j->of_wall.need[0] + j->of_wall.corner[0];

@@ -25,6 +25,8 @@ install: all
 	for page in $(MAN_PAGES); do \
 	  install -D -m 644 $$page $(I)/share/man/man$${page##*.}/$${page##*/} || exit 1; done
 	install -m 644 README.md LICENSE proto/PROTOCOL.md proto/airy.proto $(I)/share/doc/airyd/
+	install -m 644 client/farm/opencue.md client/farm/deadline.md $(I)/share/doc/airyd/
+	install -D -m 755 client/farm/airy-slurm.sh $(I)/share/airy/airy-slurm.sh
 	$(call at_prefix,systemd/airyd.service,$(I)/lib/systemd/system/airyd.service)
 	install -m 644 systemd/airyd.socket $(I)/lib/systemd/system/
 	$(call at_prefix,systemd/user/airyd.service,$(I)/lib/systemd/user/airyd.service)

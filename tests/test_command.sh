@@ -127,7 +127,7 @@ t() {
 check "one frame, no flag, a private daemon" t
 t() {
     exits 0 "$AIRY" bloom "$work/in.exr" "$work/out2.exr" --json -q && lines 1 &&
-        prints '^\{"frame":null,"input":".*in\.exr","output":".*out2\.exr","error_bound":[0-9.e-]+,"plan":".+","rule":"R[0-9]' &&
+        prints '^\{"frame":null,"input":".*in\.exr","output":".*out2\.exr","status":"done","stamp":"airyd [0-9.]+; params: .*xxh3:[0-9a-f]{32}","error_bound":[0-9.e-]+,"plan":".+","rule":"R[0-9]' &&
         prints '"energy":\{"input":[0-9.e+]+,' && prints '"targets":\[\{"name":' && prints '"ms":\{"queue":' &&
         prints '"device":".+","notes":\[' && [ ! -s "$work/err" ] && same "$work/out2.exr" "$work/out.exr"
 }

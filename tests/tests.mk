@@ -23,6 +23,9 @@ $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
 $(T)/test_wall_colour: $(T)/reference/reference_led.o
 $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
+# A real disk; only its failures are injected.
+$(T)/test_output: $(addprefix $(BUILD)/client/,cmd_output.o cmd_cleanup.o cmd_exr.o)
+$(T)/test_output: LDFLAGS += -Wl,--wrap=fallocate,--wrap=sendfile,--wrap=write,--wrap=fsync,--wrap=renameat2
 $(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
 $(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_wall_command: $(T)/airy_peer.o
 
@@ -80,6 +83,13 @@ SOAK_SEED ?= $(shell date +%s)000
 .PHONY: soak
 soak: $(T)/test_property
 	AIRY_SEED=$(SOAK_SEED) AIRY_MINUTES=$(MINUTES) $(T)/test_property
+
+# A real workload manager is too heavy for check.
+.PHONY: farm-test
+farm-test: deps
+	@$(MAKE) --no-print-directory deps PKGS_TEST="slurm-wlm munge"
+	@$(SUB) all $(BUILD)/demo/scene
+	@BUILD=$(BUILD) bash tests/farm_slurm.sh
 
 include tests/bench/bench.mk
 include tests/report/report.mk

@@ -26,7 +26,7 @@ cd "$work" || exit 1
 gain=2513.274
 bloom() {
     rm -f airy.exr
-    "$AIRY" bloom in.exr airy.exr --quiet --pixels float --bright channel --threshold 0 --tolerance 1e-3 --intensity $gain \
+    "$AIRY" bloom in.exr airy.exr --force --quiet --pixels float --bright channel --threshold 0 --tolerance 1e-3 --intensity $gain \
         --psf 'gaussians:sigma=20,weight=1' "$@"
 }
 airy_warm() { bloom --socket "$work/s"; }
