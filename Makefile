@@ -12,9 +12,10 @@ endif
 CXX := $(if $(findstring clang,$(CC)),clang++,g++)
 
 # What a bare Debian 12 needs; installed by `make deps` (part of demo and check) when missing.
+# liblz4: GUD displays take their rows compressed.
 PKGS_BUILD := gcc g++ pkg-config glslang-tools protobuf-c-compiler protobuf-compiler \
 	libvulkan-dev libopenexr-dev libdeflate-dev libprotobuf-c-dev libsystemd-dev libpng-dev libxxhash-dev \
-	libyaml-dev libusb-1.0-0-dev
+	libyaml-dev libusb-1.0-0-dev liblz4-dev
 PKGS_RUN := mesa-vulkan-drivers
 # umockdev: USB boards without hardware, for the unmodified daemon.
 PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev umockdev libumockdev-dev
@@ -34,7 +35,7 @@ CPPFLAGS += $(call pkgcflags,OpenEXR libprotobuf-c libusb-1.0)
 LIBS_EXR := -lOpenEXR-3_1 -lOpenEXRCore-3_1 -lIex-3_1 -lIlmThread-3_1 -lImath-3_1 -ldeflate -lstdc++
 LIBS_ENGINE := -lvulkan
 LIBS_PROTO := -lprotobuf-c
-LIBS_WALL := -lusb-1.0
+LIBS_WALL := -lusb-1.0 -llz4
 LIBS_WALLDEF := -lyaml -lpng -lm
 
 # ---- rooms: one archive each, dependencies one way -------------------------------------------
