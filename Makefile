@@ -69,6 +69,7 @@ help:
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
+	@echo "make check-usb  the wall against a real kernel's USB in QEMU (optional; downloads Debian's kernel, minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
 	@echo "make deps     install the Debian packages that are missing (root or sudo)"
@@ -144,7 +145,7 @@ $(BUILD)/airy.h: client/airy.h
 	@mkdir -p $(@D)
 	$(Q)cp $< $@
 
--include $(shell find $(BUILD) -name '*.d' 2>/dev/null)
+-include $(shell find $(BUILD) -type f -name '*.d' 2>/dev/null)
 
 include client/client.mk tests/tests.mk
 
