@@ -12,9 +12,10 @@ endif
 CXX := $(if $(findstring clang,$(CC)),clang++,g++)
 
 # What a bare Debian 12 needs; installed by `make deps` (part of demo and check) when missing.
+# liblz4: GUD displays take their rows compressed.
 PKGS_BUILD := gcc g++ pkg-config glslang-tools protobuf-c-compiler protobuf-compiler \
 	libvulkan-dev libopenexr-dev libdeflate-dev libprotobuf-c-dev libsystemd-dev libpng-dev libxxhash-dev \
-	libyaml-dev libusb-1.0-0-dev
+	libyaml-dev libusb-1.0-0-dev liblz4-dev
 PKGS_RUN := mesa-vulkan-drivers
 # umockdev: USB boards without hardware, for the unmodified daemon.
 # systemd: what checks the units; dpkg-dev: make deb. Neither has to run this machine.
@@ -35,7 +36,7 @@ CPPFLAGS += $(call pkgcflags,OpenEXR libprotobuf-c libusb-1.0)
 LIBS_EXR := -lOpenEXR-3_1 -lOpenEXRCore-3_1 -lIex-3_1 -lIlmThread-3_1 -lImath-3_1 -ldeflate -lstdc++
 LIBS_ENGINE := -lvulkan
 LIBS_PROTO := -lprotobuf-c
-LIBS_WALL := -lusb-1.0
+LIBS_WALL := -lusb-1.0 -llz4
 LIBS_WALLDEF := -lyaml -lpng -lm
 
 # ---- rooms: one archive each, dependencies one way -------------------------------------------
@@ -70,6 +71,7 @@ help:
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make bench-wall  a wall's picture, pass by pass;  make bench-usb  ten emulated controllers, SECONDS=60 each"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
+	@echo "make check-usb  the wall against a real kernel's USB in QEMU (optional; downloads Debian's kernel, minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make fuzz     hostile input at every reader for MINUTES=30 (FUZZ=\"exr wall\": only these)"
 	@echo "make farm-test  the Slurm script under a real Slurm of one node: installs slurm-wlm and munge (not part of check), needs root"
@@ -148,8 +150,12 @@ $(BUILD)/airy.h: client/airy.h
 	@mkdir -p $(@D)
 	$(Q)cp $< $@
 
+<<<<<<< HEAD
 # A folder of a staged install may be called *.d, too.
 -include $(shell find $(BUILD) -name '*.d' -type f 2>/dev/null)
+=======
+-include $(shell find $(BUILD) -type f -name '*.d' 2>/dev/null)
+>>>>>>> w-vhci
 
 include client/client.mk tests/tests.mk
 

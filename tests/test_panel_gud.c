@@ -2,7 +2,7 @@
 //
 // test_panel_gud.c - displays that lie: each answer of the opening wrong in its own way. The board is FAILED with words
 // that name the answer, what was found and what was expected; the board beside it goes on; the same display, plugged in
-// again with the truth, is used. Under umockdev-wrapper.
+// again with the truth, is used. And LZ4: what the model unpacks is what was sent, whatever the buffer. Under umockdev-wrapper.
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -200,6 +200,146 @@ static void test_faults_of_frames(void **state)
     usb_destroy(u);
 }
 
+// ---- LZ4 --------------------------------------------------------------------------------------------------------
+
+// Frame n: rows that repeat (they shrink), then, from row `noise` on, rows of random bytes (they do not).
+static void draw(uint8_t *rgb, uint32_t width, uint32_t height, uint32_t noise, uint32_t n)
+{
+    uint32_t seed = n * 2654435761u + 1;
+    for (size_t i = 0; i < (size_t)width * height * 3; i++) {
+        seed ^= seed << 13;
+        seed ^= seed >> 17;
+        seed ^= seed << 5;
+        rgb[i] = i / 3 / width < noise ? (uint8_t)(n + i % 3) : (uint8_t)(seed >> 11);
+    }
+}
+
+// The model unpacks what comes; here its picture is held against what was sent. Memory order is B, G, R.
+static void expect_picture(struct kit_board *k, const uint8_t *rgb)
+{
+    pthread_mutex_lock(&k->lock);
+    for (size_t i = 0; i < (size_t)k->width * k->height * 3; i++)
+        if (k->picture[i / 3 * 3 + 2 - i % 3] != rgb[i])
+            fail_msg("%s: pixel %zu, colour %zu is %u, expected %u", k->serial, i / 3, i % 3, k->picture[i / 3 * 3 + 2 - i % 3],
+                     rgb[i]);
+    pthread_mutex_unlock(&k->lock);
+}
+
+struct packed { uint64_t buffers, compressed, bytes; };
+
+// One frame, and what it cost on the wire.
+static struct packed send_drawn(struct usb_board *b, struct kit_board *k, uint32_t noise, uint32_t n)
+{
+    static uint8_t rgb[64 * 32 * 3];
+    const struct packed before = { k->buffers, k->compressed, k->bulk_bytes };
+    draw(rgb, k->width, k->height, noise, n);
+    const uint64_t have = kit_frames(k);
+    usb_board_send(b, rgb, 0);
+    rig_wait_frames(k, have + 1);
+    rig_wait_idle(b);
+    expect_picture(k, rgb);
+    assert_int_equal(k->bad, 0);
+    return (struct packed){ k->buffers - before.buffers, k->compressed - before.compressed, k->bulk_bytes - before.bytes };
+}
+
+static struct kit_board *lz4_display(const char *name, uint32_t width, uint32_t height, uint8_t compression, uint32_t max_buffer)
+{
+    struct kit_board *k = kit_gud(rig_kit, name, width, height);
+    k->reply[0x01].data[9] = compression;
+    for (unsigned i = 0; i < 4; i++)
+        k->reply[0x01].data[10 + i] = (uint8_t)(max_buffer >> (8 * i));
+    return k;
+}
+
+enum { LW = 64, LH = 32, PITCH = LW * 3, FRAME = PITCH * LH };
+
+static void test_lz4(void **state)
+{
+    (void)state;
+    struct kit_board *k = lz4_display("PACKED", LW, LH, 1, 8 * PITCH); // four bands
+    kit_plug(k);
+    struct usb *u = rig_usb();
+    struct usb_board *b = rig_add(u, WALL_GUD, k->serial, LW, LH);
+    rig_wait_state(b, USB_READY);
+    struct packed p = send_drawn(b, k, LH, 1); // all flat
+    assert_int_equal(p.buffers, 4);
+    assert_int_equal(p.compressed, 4);
+    assert_true(p.bytes < FRAME / 20);
+    p = send_drawn(b, k, 0, 2); // all noise: as it is, no byte more
+    assert_int_equal(p.buffers, 4);
+    assert_int_equal(p.compressed, 0);
+    assert_int_equal(p.bytes, FRAME);
+    p = send_drawn(b, k, 16, 3); // half and half, each band for itself
+    assert_int_equal(p.compressed, 2);
+    assert_true(p.bytes > FRAME / 2 && p.bytes < FRAME / 2 + FRAME / 20);
+    KIT_SET(k, stall_next, 1); // the frame that stalled comes again, whole
+    p = send_drawn(b, k, LH, 4);
+    assert_int_equal(p.compressed, 4);
+    assert_true(rig_stats(b).stalls == 1);
+    usb_destroy(u);
+}
+
+// A display that says nothing of LZ4, or only of things that nobody knows, gets none.
+static void test_lz4_only_when_offered(void **state)
+{
+    (void)state;
+    static const uint8_t offers[] = { 0x00, 0xfe };
+    for (unsigned i = 0; i < 2; i++) {
+        struct kit_board *k = lz4_display(i ? "STRANGE" : "PLAIN", LW, LH, offers[i], 0);
+        kit_plug(k);
+        struct usb *u = rig_usb();
+        struct usb_board *b = rig_add(u, WALL_GUD, k->serial, LW, LH);
+        rig_wait_state(b, USB_READY);
+        const struct packed p = send_drawn(b, k, LH, 1);
+        assert_int_equal(p.compressed, 0);
+        assert_int_equal(p.bytes, FRAME);
+        usb_destroy(u);
+    }
+}
+
+// Every size of buffer that is no size of a picture, with all bits of compression set.
+static void test_lz4_hostile_buffers(void **state)
+{
+    (void)state;
+    static const struct { uint32_t max_buffer, bands; } hostile[] = {
+        { 0, 1 }, { PITCH, LH }, { PITCH + 1, LH }, { 2 * PITCH - 1, LH }, { 5 * PITCH + 7, 7 }, { FRAME - 1, 2 }, { FRAME, 1 },
+        { FRAME + 1, 1 }, { 0x7fffffff, 1 }, { 0x80000000, 1 }, { 0xffffffff, 1 },
+    };
+    for (unsigned i = 0; i < sizeof(hostile) / sizeof(*hostile); i++) {
+        char name[32];
+        snprintf(name, sizeof(name), "BUFFER%u", hostile[i].max_buffer);
+        struct kit_board *k = lz4_display(name, LW, LH, 0xff, hostile[i].max_buffer);
+        kit_plug(k);
+        struct usb *u = rig_usb();
+        struct usb_board *b = rig_add(u, WALL_GUD, name, LW, LH);
+        rig_wait_state(b, USB_READY);
+        for (uint32_t noise = 0; noise <= LH; noise += LH / 4)
+            assert_int_equal(send_drawn(b, k, noise, 10 + noise).buffers, hostile[i].bands);
+        usb_destroy(u);
+        kit_unplug(k);
+    }
+    struct kit_board *k = lz4_display("BUFFERSHORT", LW, LH, 0xff, PITCH - 1);
+    kit_plug(k);
+    struct usb *u = rig_usb();
+    expect_refusal(rig_add(u, WALL_GUD, k->serial, LW, LH), k, k->serial, "the display's buffer is 191 bytes, one row of RGB888 is 192");
+    usb_destroy(u);
+}
+
+// The smallest pictures: nothing can be shorter than they are, and nothing goes wrong.
+static void test_lz4_smallest(void **state)
+{
+    (void)state;
+    struct kit_board *k = lz4_display("ONEPIXEL", 1, 1, 1, 0);
+    kit_plug(k);
+    struct usb *u = rig_usb();
+    struct usb_board *b = rig_add(u, WALL_GUD, k->serial, 1, 1);
+    rig_wait_state(b, USB_READY);
+    const struct packed p = send_drawn(b, k, 1, 1);
+    assert_int_equal(p.compressed, 0);
+    assert_int_equal(p.bytes, 3);
+    usb_destroy(u);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -207,6 +347,10 @@ int main(void)
         cmocka_unit_test_teardown(test_refusals, rig_teardown),
         cmocka_unit_test_teardown(test_long_lists, rig_teardown),
         cmocka_unit_test_teardown(test_faults_of_frames, rig_teardown),
+        cmocka_unit_test_teardown(test_lz4, rig_teardown),
+        cmocka_unit_test_teardown(test_lz4_only_when_offered, rig_teardown),
+        cmocka_unit_test_teardown(test_lz4_hostile_buffers, rig_teardown),
+        cmocka_unit_test_teardown(test_lz4_smallest, rig_teardown),
     };
     return cmocka_run_group_tests(tests, rig_group_setup, rig_group_teardown);
 }

@@ -252,8 +252,8 @@ static void test_device_hangs(void **state)
     uint64_t before = clock_ns();
     hung = 0;
     hang = 1;
-    sched_submit(w.sched, &w.flow[0], make_job(&w, 1));
-    sched_submit(w.sched, &w.flow[2], make_job(&w, 2));
+    submit(&w, 0, make_job(&w, 1));
+    submit(&w, 2, make_job(&w, 2));
     wait_until(&hung, 1, "hung");
     uint64_t since = sched_device_since_ns(w.sched);
     assert_true(since >= before && since <= clock_ns());

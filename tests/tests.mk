@@ -56,6 +56,14 @@ $(T)/usb_probe: $(T)/usb_probe.o $(BUILD)/wall.a $(BUILD)/proto.a
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_WALL) -lprotobuf-c
 
+# The same boards on a real kernel, in a machine of its own: slow, optional, no part of check.
+$(T)/usb_vhci_guest: $(T)/usb_vhci_guest.o $(T)/usb_vhci.o $(T)/usb_vhci_drive.o $(T)/usb_kit_model.o $(T)/daemon_fixture.o $(ARCHIVES)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(TEST_LIBS)
+.PHONY: check-usb
+check-usb: $(BUILD)/airyd $(T)/usb_vhci_guest
+	@BUILD=$(BUILD) bash tests/usb_vhci.sh
+
 $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(TEST_LIBS)

@@ -78,6 +78,7 @@ struct kit_board {
     size_t state_bytes;
     uint8_t buffer[25];       /* of the last SET_BUFFER */
     uint64_t buffers, statuses;
+    uint64_t compressed, bulk_bytes; /* rectangles that came as LZ4; bytes of all rectangles on the wire */
     bool committed, lit, named;
     uint8_t *picture;         /* width * height * pixel_bytes */
 };

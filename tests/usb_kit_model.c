@@ -5,6 +5,7 @@
 #include "usb_kit_model.h"
 
 #include <errno.h>
+#include <lz4.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -152,6 +153,26 @@ static int gud_control(struct kit_board *b, const uint8_t *s, const uint8_t *dat
     return (int)b->reply[request].length;
 }
 
+static void put_rows(struct kit_board *b, uint32_t x, uint32_t y, uint32_t w, uint32_t h, const uint8_t *data)
+{
+    const size_t pitch = (size_t)w * b->pixel_bytes;
+    for (uint32_t row = 0; row < h; row++)
+        memcpy(b->picture + ((size_t)(y + row) * b->width + x) * b->pixel_bytes, data + row * pitch, pitch);
+    if (y + h == b->height)
+        frame_came(b, b->picture);
+}
+
+// A compressed rectangle must come as it was announced, be shorter than plain, and unpack to exactly its pixels.
+static bool unpack(struct kit_board *b, const uint8_t *data, size_t length, uint8_t *out, size_t plain)
+{
+    const uint8_t *const d = b->reply[0x01].data;
+    if (b->buffer[20] != 1 || !(d[9] & 1) || (u32(d + 5) & 2) || u32(b->buffer + 21) != length || length >= plain ||
+        LZ4_decompress_safe((const char *)data, (char *)out, (int)length, (int)plain) != (int)plain)
+        return false;
+    b->compressed++;
+    return true;
+}
+
 // With FULL_UPDATE and no SET_BUFFER, what comes is the whole picture.
 static void gud_bulk(struct kit_board *b, const uint8_t *data, size_t length)
 {
@@ -163,20 +184,23 @@ static void gud_bulk(struct kit_board *b, const uint8_t *data, size_t length)
         w = u32(b->buffer + 8);
         h = u32(b->buffer + 12);
     }
-    const bool whole = u32(b->reply[0x01].data + 5) & 2;
+    const bool whole = u32(b->reply[0x01].data + 5) & 2, packed = b->named && b->buffer[20];
     const uint32_t most = u32(b->reply[0x01].data + 10);
-    if ((!b->named && !whole) || !b->committed || x + w > b->width || y + h > b->height || (most && length > most) ||
-        length != (size_t)w * h * b->pixel_bytes ||
-        (b->named && (u32(b->buffer + 16) != length || b->buffer[20] || u32(b->buffer + 21)))) {
+    if ((!b->named && !whole) || !b->committed || (uint64_t)x + w > b->width || (uint64_t)y + h > b->height) {
         b->bad++;
         return;
     }
-    b->named = false;
-    for (uint32_t row = 0; row < h; row++)
-        memcpy(b->picture + ((size_t)(y + row) * b->width + x) * b->pixel_bytes, data + (size_t)row * w * b->pixel_bytes,
-               (size_t)w * b->pixel_bytes);
-    if (y + h == b->height)
-        frame_came(b, b->picture);
+    const size_t plain = (size_t)w * h * b->pixel_bytes;
+    uint8_t *const out = packed ? malloc(plain) : NULL;
+    if ((most && plain > most) || (b->named && u32(b->buffer + 16) != plain) ||
+        (packed ? !out || !unpack(b, data, length, out, plain) : length != plain || (b->named && u32(b->buffer + 21))))
+        b->bad++;
+    else {
+        b->named = false;
+        b->bulk_bytes += length;
+        put_rows(b, x, y, w, h, packed ? out : data);
+    }
+    free(out);
 }
 
 // ---- both -----------------------------------------------------------------------------------------------------

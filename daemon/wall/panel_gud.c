@@ -5,10 +5,12 @@
 //
 // Invariant: nothing that the device says is used before it is checked against its own other answers and against the
 // wall; what does not fit is refused at open, in words, so that encode has nothing left to fail on. Frames are whole
-// every time, in bands of rows that the device's buffer holds, uncompressed (the format allows it always).
+// every time, in bands of rows that the device's buffer holds uncompressed; LZ4 then only shortens what goes over the wire, and
+// is left away for a band that it does not shorten (the format allows that always), so that no frame needs more room for it.
 #include "panel.h"
 
 #include <libusb.h>
+#include <lz4.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -29,6 +31,7 @@ enum {
 
     FLAG_STATUS_ON_SET = 1,
     FLAG_FULL_UPDATE = 2,
+    COMPRESSION_LZ4 = 1, /* a bit of the descriptor's, and the value in SET_BUFFER */
     MODE_PREFERRED = 1 << 10,
     CONNECTOR_CONNECTED = 1,
     CONNECTOR_UNKNOWN = 2,
@@ -69,6 +72,8 @@ struct gud {
     uint8_t properties[2 * PROPERTIES_MAX * PROPERTY_BYTES];
     size_t properties_bytes;
     uint32_t rows, bands; /* of a band; how many */
+    uint8_t *plain;       /* a frame before compression, width * height * format->bytes; NULL: the display takes no LZ4 */
+    bool lz4;
     bool begun;           /* FULL_UPDATE: the rectangle is named only after a failed frame, so not with the first */
 };
 
@@ -195,6 +200,7 @@ static int read_descriptor(struct gud *g, struct fault *f)
     if (d[4] != 1)
         return fault_set(f, FAULT_WALL, "descriptor", "protocol version %u, expected 1", d[4]);
     g->flags = u32(d + 5);
+    g->lz4 = (d[9] & COMPRESSION_LZ4) && !(g->flags & FLAG_FULL_UPDATE);
     g->max_buffer = u32(d + 10);
     return check_size(g->width, u32(d + 14), u32(d + 18), "width", f) ||
                    check_size(g->height, u32(d + 22), u32(d + 26), "height", f)
@@ -361,7 +367,12 @@ static int open_display(void **state, struct libusb_device_handle *h, uint8_t in
     if (read_descriptor(g, f) || choose_format(g, f) || plan_bands(g, f) || read_properties(g, false, f) ||
         choose_connector(g, f) || choose_mode(g, f) || start_display(g, f))
         goto fail;
-    need->bytes = (size_t)g->bands * SET_BUFFER_BYTES + (size_t)g->width * g->height * g->format->bytes;
+    const size_t frame = (size_t)g->width * g->height * g->format->bytes;
+    if (g->lz4 && !(g->plain = malloc(frame))) {
+        fault_set(f, FAULT_NO_MEMORY, "", "no memory for a display's frame");
+        goto fail;
+    }
+    need->bytes = (size_t)g->bands * SET_BUFFER_BYTES + frame;
     need->steps = g->bands * (g->flags & FLAG_STATUS_ON_SET ? 3 : 2);
     *state = g;
     return 0;
@@ -370,7 +381,12 @@ fail:
     return -1;
 }
 
-static void close_display(void *state) { free(state); }
+static void close_display(void *state)
+{
+    struct gud *g = state;
+    free(g->plain);
+    free(g);
+}
 
 // ---- frames ----------------------------------------------------------------------------------------------
 
@@ -393,37 +409,56 @@ static void convert(const struct gud *g, const uint8_t *rgb, uint8_t *out)
     }
 }
 
-static void name_band(const struct gud *g, uint32_t y, uint32_t rows, uint8_t *out)
+static void name_band(const struct gud *g, uint32_t y, uint32_t rows, size_t compressed, uint8_t *out)
 {
     memset(out, 0, SET_BUFFER_BYTES);
     put32(out + 4, y);
     put32(out + 8, g->width);
     put32(out + 12, rows);
     put32(out + 16, rows * g->width * g->format->bytes);
+    if (!compressed)
+        return;
+    out[20] = COMPRESSION_LZ4;
+    put32(out + 21, (uint32_t)compressed);
+}
+
+// The length, or 0: it does not shrink, and is copied as it is. At most 4 MB (the wall's limit of pixels), so it fits an int.
+static size_t compress_band(const uint8_t *plain, size_t length, uint8_t *out)
+{
+    const int n = LZ4_compress_default((const char *)plain, (char *)out, (int)length, (int)length - 1);
+    if (n > 0)
+        return (size_t)n;
+    memcpy(out, plain, length);
+    return 0;
+}
+
+static void encode_band(const struct gud *g, uint32_t band, bool named, struct panel_frame *f)
+{
+    const size_t pitch = (size_t)g->width * g->format->bytes, name = (size_t)band * SET_BUFFER_BYTES;
+    const uint32_t y = band * g->rows, left = g->height - y, rows = left < g->rows ? left : g->rows;
+    const size_t at = (size_t)g->bands * SET_BUFFER_BYTES + y * pitch, length = rows * pitch;
+    const size_t compressed = g->plain ? compress_band(g->plain + y * pitch, length, f->data + at) : 0;
+    name_band(g, y, rows, compressed, f->data + name);
+    if (named)
+        f->step[f->steps++] = (struct panel_step){ .control = true, .request_type = 0x41, .request = SET_BUFFER,
+                                                   .index = g->interface, .offset = name, .length = SET_BUFFER_BYTES };
+    if (named && (g->flags & FLAG_STATUS_ON_SET))
+        f->step[f->steps++] = (struct panel_step){ .control = true, .request_type = 0xC1, .request = GET_STATUS,
+                                                   .index = g->interface, .length = 1 };
+    f->step[f->steps++] = (struct panel_step){ .offset = at, .length = compressed ? compressed : length };
 }
 
 static void encode(void *state, const uint8_t *rgb, bool full, struct panel_frame *f)
 {
     struct gud *g = state;
-    const size_t pixels = (size_t)g->bands * SET_BUFFER_BYTES, pitch = (size_t)g->width * g->format->bytes;
+    const size_t pixels = (size_t)g->bands * SET_BUFFER_BYTES;
     const bool named = !(g->flags & FLAG_FULL_UPDATE) || (full && g->begun);
     g->begun = true;
     f->steps = 0;
-    for (uint32_t band = 0; band < g->bands; band++) {
-        const uint32_t y = band * g->rows, left = g->height - y, rows = left < g->rows ? left : g->rows;
-        uint8_t *name = f->data + (size_t)band * SET_BUFFER_BYTES;
-        name_band(g, y, rows, name);
-        if (named)
-            f->step[f->steps++] = (struct panel_step){ .control = true, .request_type = 0x41, .request = SET_BUFFER,
-                                                       .index = g->interface, .offset = (size_t)(name - f->data),
-                                                       .length = SET_BUFFER_BYTES };
-        if (named && (g->flags & FLAG_STATUS_ON_SET))
-            f->step[f->steps++] = (struct panel_step){ .control = true, .request_type = 0xC1, .request = GET_STATUS,
-                                                       .index = g->interface, .length = 1 };
-        f->step[f->steps++] = (struct panel_step){ .offset = pixels + y * pitch, .length = rows * pitch };
-    }
-    convert(g, rgb, f->data + pixels);
-    f->size = pixels + pitch * g->height;
+    convert(g, rgb, g->plain ? g->plain : f->data + pixels);
+    for (uint32_t band = 0; band < g->bands; band++)
+        encode_band(g, band, named, f);
+    f->size = pixels + (size_t)g->width * g->height * g->format->bytes;
 }
 
 static int reply(void *state, const struct panel_step *step, const uint8_t *data, size_t length, struct fault *f)
