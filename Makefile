@@ -150,12 +150,8 @@ $(BUILD)/airy.h: client/airy.h
 	@mkdir -p $(@D)
 	$(Q)cp $< $@
 
-<<<<<<< HEAD
 # A folder of a staged install may be called *.d, too.
 -include $(shell find $(BUILD) -name '*.d' -type f 2>/dev/null)
-=======
--include $(shell find $(BUILD) -type f -name '*.d' 2>/dev/null)
->>>>>>> w-vhci
 
 include client/client.mk tests/tests.mk
 
