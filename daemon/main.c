@@ -273,6 +273,13 @@ static void share_memory(struct server_config *c, const struct options *o, uint6
                                              .user_requests = (uint32_t)o->user_requests };
 }
 
+// Of a frame's bloom, what the host does: kernels, and walls on a CPU device. Beyond a few, memory is what it waits for.
+static unsigned host_threads(const struct options *o)
+{
+    const unsigned threads = o->threads ? (unsigned)o->threads : cpus(), most = 8;
+    return threads < 2 ? 2 : threads > most ? most : threads;
+}
+
 static void configure(struct server_config *c, const struct options *o)
 {
     const char *warm = o->warm ? o->warm : o->lifetime_fd < 0 ? "idle" : "common";
@@ -281,7 +288,7 @@ static void configure(struct server_config *c, const struct options *o)
     *c = (struct server_config){
         .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
                    .slots = (unsigned)o->slots,
-                   .device = { .device = o->device, .validate = o->validate,
+                   .device = { .device = o->device, .threads = host_threads(o), .validate = o->validate,
                                .warm_all = !strcmp(warm, "all"), .log = say },
                    .warm_idle = !strcmp(warm, "idle"),
                    .log = say },

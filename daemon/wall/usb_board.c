@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 enum { RETRY_NS = 1000000000 };
+static const char lost_words[] = "lost: it does not answer any more, or was unplugged";
 
 // Logged when it is news; a board that is tried once a second is not reported once a second.
 static void say_why(struct usb_board *b, enum usb_state state, const char *what)
@@ -214,6 +215,8 @@ static void close_board(struct usb_board *b)
     b->fd = -1;
     b->entry = 0;
     b->stats.state = USB_ABSENT;
+    if (lost)
+        snprintf(b->stats.why, sizeof(b->stats.why), "%s", lost_words);
     b->stats.path[0] = '\0';
     b->stats.missed += b->waiting;
     b->waiting = false;
@@ -225,7 +228,7 @@ static void close_board(struct usb_board *b)
     close_handle(h, fd);
     note_attempt(b, arrival, false, false);
     if (lost)
-        say_why(b, USB_ABSENT, "lost: it does not answer any more, or was unplugged");
+        usb_log(b->usb, "%s %s: %s", b->ops->name, b->config.serial, lost_words);
     pthread_mutex_lock(&b->lock);
 }
 

@@ -54,6 +54,7 @@ static void json_value(FILE *f, const ProtobufCFieldDescriptor *d, const void *p
     case PROTOBUF_C_TYPE_UINT32:
         fprintf(f, "%" PRIu32, *(const uint32_t *)p);
         return;
+    case PROTOBUF_C_TYPE_SINT32:
     case PROTOBUF_C_TYPE_INT32:
         fprintf(f, "%" PRId32, *(const int32_t *)p);
         return;
@@ -735,6 +736,7 @@ static void all_vectors(each_vector each, void *ctx)
     other_vectors(each, ctx);
     asset_vectors(each, ctx);
     wall_vectors(each, ctx);
+    turn_vectors(each, ctx);
     bad_vectors(each, ctx);
 }
 

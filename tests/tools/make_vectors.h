@@ -22,6 +22,8 @@ struct vector {
 
 typedef void (*each_vector)(const struct vector *v, void *ctx); // the one callback of this program
 
+/* make_vectors_turns.c: turns, users, memory. */
+void turn_vectors(each_vector each, void *ctx);
 /* make_vectors_wall.c: WALL, its answers, and frames for walls. */
 void wall_vectors(each_vector each, void *ctx);
 
