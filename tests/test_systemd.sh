@@ -62,7 +62,8 @@ t() {
     {
         printf '%s\n' bin/airy bin/airyd include/airy.h lib/some-arch/libairy.{a,so,so.0} lib/some-arch/pkgconfig/libairy.pc \
             lib/systemd/{system,user}/airyd.{service,socket} lib/sysusers.d/airyd.conf lib/udev/rules.d/70-airy-wall.rules \
-            share/doc/airyd/{README.md,LICENSE,PROTOCOL.md,airy.proto,examples/gpu.conf,examples/wall.conf}
+            share/airy/airy-slurm.sh \
+            share/doc/airyd/{README.md,LICENSE,PROTOCOL.md,airy.proto,opencue.md,deadline.md,examples/gpu.conf,examples/wall.conf}
         for page in client/*.[1-8] proto/*.[1-8] daemon/*.[1-8] daemon/wall/*.[1-8]; do
             [ -e "$page" ] && echo "share/man/man${page##*.}/${page##*/}"
         done

@@ -43,16 +43,32 @@ static void check_list(const struct frames_list *l)
     free(sorted);
 }
 
+// A frame's number as people write it: the whole part at least so wide, sign included, and decimals without zeros at the end.
+static int write_number(char *out, size_t size, int64_t frame, int width)
+{
+    const uint64_t all = frame < 0 ? -(uint64_t)frame : (uint64_t)frame;
+    int n = snprintf(out, size, "%s%0*" PRIu64, frame < 0 ? "-" : "", frame < 0 ? width - 1 : width, all / FRAMES_ONE);
+    if (all % FRAMES_ONE) {
+        n += snprintf(out + n, size - (size_t)n, ".%06" PRIu64, all % FRAMES_ONE);
+        while (out[n - 1] == '0')
+            out[--n] = '\0';
+    }
+    return n;
+}
+
 // Written out frame by frame it is the same list.
 static void check_again(const struct frames_list *l)
 {
-    const size_t room = l->count * 16 + 1;
+    const size_t room = l->count * 24 + 1;
     char *text = malloc(room), why[FRAMES_WHY_MAX];
     struct frames_list again;
     size_t used = 0;
     must(text);
-    for (size_t i = 0; i < l->count; i++)
-        used += (size_t)snprintf(text + used, room - used, "%s%" PRId64, i ? "," : "", l->frame[i]);
+    for (size_t i = 0; i < l->count; i++) {
+        if (i)
+            text[used++] = ',';
+        used += (size_t)write_number(text + used, room - used, l->frame[i], 1);
+    }
     must(!frames_parse(&again, text, why));
     must(again.count == l->count && !memcmp(again.frame, l->frame, l->count * sizeof(*l->frame)));
     frames_list_finish(&again);
@@ -62,7 +78,7 @@ static void check_again(const struct frames_list *l)
 static void check_names(const char *text, int64_t frame)
 {
     struct frames_pattern p;
-    char why[FRAMES_WHY_MAX] = "", number[32];
+    char why[FRAMES_WHY_MAX] = "", number[40];
     if (frames_pattern_init(&p, text, why) < 0) {
         must(*why && memchr(why, '\0', sizeof(why)));
         return;
@@ -75,7 +91,7 @@ static void check_names(const char *text, int64_t frame)
     char *name = frames_name(&p, frame);
     must(name);
     if (p.n_tokens) {
-        snprintf(number, sizeof(number), "%0*" PRId64, p.token[0].width <= 20 ? (int)p.token[0].width : 20, frame);
+        write_number(number, sizeof(number), frame, p.token[0].width <= 20 ? (int)p.token[0].width : 20);
         must(!strncmp(name, text, p.token[0].begin));
         must(p.token[0].width > 20 || !strncmp(name + p.token[0].begin, number, strlen(number)));
     } else {

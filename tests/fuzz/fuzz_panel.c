@@ -108,7 +108,7 @@ static void check_frame(const struct panel_ops *ops, void *state, const struct p
     struct panel_frame f = { .data = malloc(need->bytes), .room = need->bytes, .step = calloc(need->steps, sizeof(*f.step)),
                              .steps_room = need->steps };
     struct fault fault = { .code = FAULT_NONE };
-    size_t sent = 0, end = 0;
+    size_t sent = 0, end = 0, pixels = 0;
     must(rgb && f.data && f.step);
     memset(rgb, 0x5a, rgb_bytes);
     ops->encode(state, rgb, full, &f);
@@ -124,13 +124,15 @@ static void check_frame(const struct panel_ops *ops, void *state, const struct p
             if (ops->reply(state, s, bytes, got, &fault) < 0)
                 check_fault(&fault);
         }
+        if (s->control && !in && s->request == 0x60) // SET_BUFFER says how many bytes of pixels follow, packed or not
+            pixels += f.data[s->offset + 16] | (size_t)f.data[s->offset + 17] << 8 | (size_t)f.data[s->offset + 18] << 16;
         if (s->control)
             continue;
         must(!sent || s->offset == end); // the bands of a picture follow each other
         sent += s->length;
         end = s->offset + s->length;
     }
-    must(sent >= (size_t)2 * c->width * c->height);
+    must((pixels ? pixels : sent) >= (size_t)2 * c->width * c->height);
     free(f.step);
     free(f.data);
     free(rgb);

@@ -54,7 +54,6 @@ static void json_value(FILE *f, const ProtobufCFieldDescriptor *d, const void *p
     case PROTOBUF_C_TYPE_UINT32:
         fprintf(f, "%" PRIu32, *(const uint32_t *)p);
         return;
-    case PROTOBUF_C_TYPE_SINT32:
     case PROTOBUF_C_TYPE_INT32:
         fprintf(f, "%" PRId32, *(const int32_t *)p);
         return;

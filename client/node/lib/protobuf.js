@@ -109,7 +109,15 @@ export function encode(schema, name, message, where = name) {
     const value = message[field.name];
     if (value === undefined || value === null)
       continue;
-    const key = varint(BigInt(field.number * 8 + WIRE[field.type]));
+    const wire = WIRE[field.type];
+    if (field.repeated && wire !== BYTES) { // numbers go packed, as proto3 has it
+      const all = value.map((one, i) => valueBytes(schema, field, one, `${where}.${field.name}[${i}]`, true));
+      const body = Buffer.concat(all);
+      if (all.length)
+        parts.push(varint(BigInt(field.number * 8 + BYTES)), varint(BigInt(body.length)), body);
+      continue;
+    }
+    const key = varint(BigInt(field.number * 8 + wire));
     for (const [i, one] of (field.repeated ? value : [value]).entries()) {
       const at = `${where}.${field.name}${field.repeated ? `[${i}]` : ''}`;
       const bytes = valueBytes(schema, field, one, at, field.repeated || field.oneof);

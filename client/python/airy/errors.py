@@ -214,6 +214,12 @@ class WallBusy(ResourceError):
     code, symbol = 403, "WALL_BUSY"
 
 
+class DeadlineExceeded(ResourceError):
+    """The request waited for its turn for longer than its deadline_ms."""
+
+    code, symbol = 404, "DEADLINE"
+
+
 class InternalError(ServerError):
     code, symbol = 500, "INTERNAL"
 

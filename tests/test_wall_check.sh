@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# test_wall_command.sh - airy wall check and draw: what they print, where, and their exit statuses. No daemon, no device.
+# test_wall_check.sh - airy wall check and draw: what they print, where, and their exit statuses. No daemon, no device.
 # Prints TAP. AIRY names the program.
 set -u
 cd "$(dirname "$0")/.."
