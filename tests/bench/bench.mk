@@ -36,7 +36,7 @@ SECONDS ?= 60
 $(BUILD)/bench/bench_wall_usb: $(call obj,tests/bench/bench_wall_usb.c tests/usb_kit.c tests/usb_kit_model.c) $(BUILD)/libairy.a
 	@mkdir -p $(@D)
 	$(call say,LD $@)
-	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) -llz4 $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
 $(BUILD)/tests/bench/bench_wall_usb.o: CPPFLAGS += -Itests
 
 .PHONY: bench bench-wall bench-usb
