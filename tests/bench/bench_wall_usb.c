@@ -10,7 +10,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
+#include <sys/mman.h>
 #include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
@@ -121,20 +121,41 @@ static double cpu_of(pid_t pid)
     return (double)(user + system) / (double)sysconf(_SC_CLK_TCK);
 }
 
-// Pushes a picture at every tick, as a live source does.
-static void push(struct airy *a, double rate, double seconds)
+static struct airy_times spent; // over all results of a push
+static unsigned results;
+
+static void note(const struct airy_result *r)
 {
-    static float pixels[HEIGHT][WIDTH][3];
+    if (!r)
+        return;
+    results++;
+    spent.queue += r->ms.queue;
+    spent.load += r->ms.load;
+    spent.decode += r->ms.decode;
+    spent.bloom += r->ms.bloom;
+    spent.total += r->ms.total;
+}
+
+// Pushes a picture at every tick, as a live source does: float planes in a memfd, dark with a share of bright rows.
+static void push(struct airy *a, uint32_t width, uint32_t height, double rate, double seconds)
+{
     struct airy_error e;
     struct airy_request r = AIRY_REQUEST_INIT;
-    r.width = WIDTH;
-    r.height = HEIGHT;
+    const size_t plane = (size_t)width * height * sizeof(float);
+    void *map;
+    r.width = width;
+    r.height = height;
     r.type = AIRY_FLOAT;
     r.n_channels = 3;
     for (unsigned c = 0; c < 3; c++)
-        r.channels[c] = (struct airy_channel){ c == 0 ? "R" : c == 1 ? "G" : "B", 4 * c, sizeof pixels[0], 12 };
-    r.data = pixels;
-    r.size = sizeof pixels;
+        r.channels[c] = (struct airy_channel){ c == 0 ? "R" : c == 1 ? "G" : "B", plane * c, 4 * (uint64_t)width, 4 };
+    r.size = plane * 3;
+    r.input_fd = airy_memfd(r.size, &map, &e);
+    if (r.input_fd < 0)
+        die("memfd", &e);
+    float *pixels = map;
+    memset(&spent, 0, sizeof spent);
+    results = 0;
     r.wall = "bench";
     r.show = true;
     const uint64_t start = now_ns();
@@ -148,12 +169,13 @@ static void push(struct airy *a, double rate, double seconds)
             if (rc < 0)
                 die("frame", &e);
             open -= rc > 0;
+            note(got);
             airy_result_free(got);
             if (!open && now_ns() < due)
                 sleep_ms(1);
         }
-        for (unsigned x = 0; x < WIDTH; x++)
-            pixels[k % HEIGHT][x][k % 3] = (float)((x * 31 + k * 7) % 97) / 40;
+        for (unsigned x = 0; x < width; x++)
+            pixels[k % 3 * (plane / 4) + k % height * width + x] = (float)((x * 31 + k * 7) % 97) / 40;
         r.present_ns = due + 50000000;
         uint64_t id;
         if (airy_submit(a, &r, &id, &e) < 0)
@@ -164,8 +186,36 @@ static void push(struct airy *a, double rate, double seconds)
         struct airy_result *got = NULL;
         uint64_t id;
         open -= airy_wait_any(a, 10000, &id, &got, &e) != 0;
+        note(got);
         airy_result_free(got);
     }
+    munmap(map, r.size);
+    close(r.input_fd);
+}
+
+// A picture of 1080p for a wall of 512 x 256 at every tick: how many come through, and where their time goes.
+static void large(struct airy *a, double seconds)
+{
+    airy_wall_reply_free(ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_OPEN,
+                                                             .definition = "wall: bench\nrate: 60\nhold: forever\npanels:\n"
+                                                                           "  - {name: p, at: [0, 0], size: [512, 256]}\n" }));
+    push(a, 1920, 1080, 60, 2);
+    struct airy_wall_reply *r = ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_LIST, .name = "bench" });
+    const uint64_t shown = r->walls[0].shown, dropped = r->walls[0].dropped;
+    airy_wall_reply_free(r);
+    const double cpu = cpu_of(daemon_pid);
+    const uint64_t start = now_ns();
+    push(a, 1920, 1080, 60, seconds);
+    const double took = (double)(now_ns() - start) / 1e9, n = results ? results : 1;
+    r = ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_LIST, .name = "bench" });
+    printf("1080p float, the default look -> 512 x 256 at 60 a second, %.0f s: %.1f pushed, %.1f shown a second, %llu dropped; daemon %.2f cores\n", took,
+           results / took, (double)(r->walls[0].shown - shown) / took, (unsigned long long)(r->walls[0].dropped - dropped),
+           (cpu_of(daemon_pid) - cpu) / took);
+    printf("  mean ms: queue %.1f, load %.1f, decode %.1f, bloom and resample %.1f, in all %.1f\n", spent.queue / n, spent.load / n,
+           spent.decode / n, spent.bloom / n, spent.total / n);
+    fflush(stdout);
+    airy_wall_reply_free(r);
+    airy_wall_reply_free(ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_CLOSE, .name = "bench" }));
 }
 
 // A farm: 4K frames, two in flight, until killed.
@@ -208,7 +258,7 @@ static void measure(struct airy *a, const char *name, unsigned boards, double ra
     airy_wall_reply_free(ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_OPEN, .definition = definition(boards, rate) }));
     while (!all_ready(a))
         sleep_ms(50);
-    push(a, rate, 2); // the first frame makes pipelines
+    push(a, WIDTH, HEIGHT, rate, 2); // the first frame makes pipelines
     struct airy_wall_reply *r = ask(a, &(struct airy_wall_request){ .action = AIRY_WALL_LIST, .name = "bench" });
     const uint64_t shown = r->walls[0].shown, lost = r->walls[0].dropped, missed = r->walls[0].ticks_missed;
     uint64_t board_dropped = 0;
@@ -219,7 +269,7 @@ static void measure(struct airy *a, const char *name, unsigned boards, double ra
         before[i] = kit_frames(board[i]);
     const double cpu = cpu_of(daemon_pid);
     const uint64_t start = now_ns();
-    push(a, rate, seconds);
+    push(a, WIDTH, HEIGHT, rate, seconds);
     const double took = (double)(now_ns() - start) / 1e9;
     uint64_t least = UINT64_MAX;
     for (unsigned i = 0; i < boards; i++) {
@@ -310,6 +360,7 @@ int main(int argc, char **argv)
         kit_plug(board[i]);
     }
     be_software();
+    large(a, seconds);
     measure(a, "alone", 10, 60, seconds);
     measure(a, "alone", 5, 120, seconds);
     pid_t other = farm();
