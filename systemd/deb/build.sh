@@ -29,7 +29,7 @@ needs=$(cd "$dir" && dpkg-shlibdeps -O -eroot/usr/bin/airyd -eroot/usr/bin/airy 
     { echo "airyd: dpkg-shlibdeps does not know what the programs need" >&2; exit 1; }
 needs=${needs#shlibs:Depends=}
 size=$(du -sk --exclude=DEBIAN "$root" | cut -f1)
-sed "s|@VERSION@|$version|; s|@ARCH@|$arch|; s|@SIZE@|$size|; s|@SHLIBS@|$needs|" "$here/control.in" >"$root/DEBIAN/control"
+sed "/^#/d; s|@VERSION@|$version|; s|@ARCH@|$arch|; s|@SIZE@|$size|; s|@SHLIBS@|$needs|" "$here/control.in" >"$root/DEBIAN/control"
 install -m 755 "$here/postinst" "$here/prerm" "$here/postrm" "$root/DEBIAN/"
 install -m 644 "$here/triggers" "$root/DEBIAN/"
 (cd "$root" && find usr -type f -exec md5sum {} +) >"$root/DEBIAN/md5sums"
