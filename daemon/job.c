@@ -541,20 +541,7 @@ static int write_block(void *ctx, const void *data, size_t len)
     return 0;
 }
 
-static int write_fd(void *ctx, const void *data, size_t len)
-{
-    struct payload *p = ctx;
-    for (size_t done = 0; done < len;) {
-        ssize_t n = write(p->fd, (const char *)data + done, len - done);
-        if (n < 0 && errno == EINTR)
-            continue;
-        if (n <= 0)
-            return n < 0 ? -errno : -EIO;
-        done += (size_t)n;
-        p->size += (uint64_t)n;
-    }
-    return 0;
-}
+static int write_fd(void *ctx, const void *data, size_t len) { return payload_write(ctx, data, len); }
 
 // Nothing was asked for that changes a byte: the result is the file that came, without a stamp.
 static bool hands_on(const struct job *j)

@@ -1,10 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // job_wall.c - what of a job's work is different when its frame is for a wall; see job.h.
-#include <errno.h>
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
-#include <unistd.h>
 
 #include "job.h"
 
@@ -222,26 +219,16 @@ void job_wall_end(struct job *j, const struct bloom_adapt *adapt, const struct b
     wall_show(j->wall->wall, (const float *)(const void *)w->drive->data, w->present_ns, reply->exposure);
 }
 
-static int write_all(struct payload *p, const uint8_t *data, size_t bytes, struct fault *f)
-{
-    for (size_t done = 0; done < bytes;) {
-        ssize_t n = write(p->fd, data + done, bytes - done);
-        if (n < 0 && errno == EINTR)
-            continue;
-        if (n <= 0)
-            return fault_set(f, FAULT_NO_MEMORY, "output", "the result cannot be written: %s", strerror(n < 0 ? errno : EIO));
-        done += (size_t)n;
-    }
-    p->size = bytes;
-    return 0;
-}
-
 int job_wall_finish(struct job *j, struct fault *f)
 {
     struct job_wall *w = &j->of_wall;
     struct payload *p = &j->output;
-    if (j->output_kind == JOB_OUTPUT_MEMFD)
-        return payload_new_memfd(p, f) < 0 || write_all(p, w->drive->data, drive_bytes(j), f) < 0 ? -1 : payload_seal(p, f);
+    if (j->output_kind == JOB_OUTPUT_MEMFD) {
+        if (payload_new_memfd(p, f) < 0)
+            return -1;
+        const int rc = payload_write(p, w->drive->data, drive_bytes(j));
+        return rc < 0 ? fault_set(f, FAULT_NO_MEMORY, "output", "the result cannot be written: %s", strerror(-rc)) : payload_seal(p, f);
+    }
     if (j->output_kind != JOB_OUTPUT_INLINE)
         return 0;
     p->kind = PAYLOAD_INLINE;

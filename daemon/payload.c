@@ -182,3 +182,17 @@ int payload_seal(struct payload *p, struct fault *f)
         return fault_set(f, FAULT_INTERNAL, "output", "sealing the result: %s", strerror(errno));
     return 0;
 }
+
+int payload_write(struct payload *p, const void *data, size_t len)
+{
+    for (size_t done = 0; done < len;) {
+        ssize_t n = write(p->fd, (const char *)data + done, len - done);
+        if (n < 0 && errno == EINTR)
+            continue;
+        if (n <= 0)
+            return n < 0 ? -errno : -EIO;
+        done += (size_t)n;
+        p->size += (uint64_t)n;
+    }
+    return 0;
+}

@@ -43,6 +43,8 @@ void payload_finish(struct payload *p, struct block_pool *blocks);
 
 /* A result that the client will own: a memfd of ours, empty, to be written by write(2) ... */
 int payload_new_memfd(struct payload *p, struct fault *f);
+/* (appends: p->size grows; 0 or -errno) */
+int payload_write(struct payload *p, const void *data, size_t len);
 /* ... or given `size` bytes (> 0), all zero, and mapped for writing. */
 int payload_reserve(struct payload *p, uint64_t size, struct fault *f);
 /* Unmaps it and seals it for good; p->fd is then ready to be sent. */

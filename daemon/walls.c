@@ -7,6 +7,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "metrics.h"
+
 enum { CLAIM_MAX_S = 2, CLOSING_MS = 100 };
 
 TAILQ_HEAD(wall_list, wall_ref);
@@ -245,12 +247,9 @@ void walls_client_gone(struct walls *w, const void *client)
 
 int walls_claim(struct wall_ref *r, const void *client, struct fault *f)
 {
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    const uint64_t now = (uint64_t)t.tv_sec * 1000000000 + (uint64_t)t.tv_nsec;
+    const uint64_t now = clock_ns();
     const double keeps_s = fmin(r->def->hold_s, CLAIM_MAX_S);
     if (r->source && r->source != client && (double)(now - r->source_ns) < keeps_s * 1e9) {
-        f->retry_after_ms = 0;
         fault_set(f, FAULT_WALL_BUSY, "wall.name", "another client's frames are on wall \"%.64s\"; they are let go %.1f s after their last",
                   r->def->name, keeps_s);
         f->retry_after_ms = (uint32_t)(keeps_s * 1e3);

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-# tap.sh - what the farm's test scripts share: TAP lines, programs by their exit status, and what they said. Sourced after $work
+# tap.sh - what test scripts share: TAP lines, programs by their exit status, and what they said. Sourced after $work
 # is set; output of the last program is in $work/out and $work/err.
 n=0 failures=0 why=
 check() { # description, command...: one line of TAP

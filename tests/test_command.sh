@@ -22,38 +22,7 @@ finish() {
 }
 trap finish EXIT
 
-n=0 failures=0 why=
-check() { # description, command...: one line of TAP
-    local what=$1
-    shift
-    n=$((n + 1))
-    why=
-    if "$@"; then
-        echo "ok $n - $what"
-    else
-        echo "not ok $n - $what"
-        echo "# $why"
-        tail -5 "$work/err" 2>/dev/null | sed 's/^/# /'
-        failures=$((failures + 1))
-    fi
-}
-skip() {
-    n=$((n + 1))
-    echo "ok $n - $1 # SKIP $2"
-}
-
-exits() { # status command...: output in $work/out and $work/err
-    local wanted=$1 got
-    shift
-    "$@" >"$work/out" 2>"$work/err"
-    got=$?
-    why="exit status $got, wanted $wanted: $*"
-    [ $got -eq "$wanted" ]
-}
-says() { # text in the last messages
-    why="stderr does not say \"$1\""
-    grep -qF -- "$1" "$work/err"
-}
+. tests/tap.sh
 prints() { # extended regular expression on stdout
     why="stdout does not match $1"
     grep -qE -- "$1" "$work/out"

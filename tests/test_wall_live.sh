@@ -17,36 +17,10 @@ finish() {
 }
 trap finish EXIT
 
-n=0 failures=0 why=
-check() { # description, command...: one line of TAP
-    local what=$1
-    shift
-    n=$((n + 1))
-    why=
-    if "$@"; then
-        echo "ok $n - $what"
-    else
-        echo "not ok $n - $what"
-        echo "# $why"
-        tail -5 "$work/err" | sed 's/^/# /'
-        failures=$((failures + 1))
-    fi
-}
-exits() { # status command...: output in $work/out and $work/err
-    local wanted=$1 got
-    shift
-    "$@" >"$work/out" 2>"$work/err"
-    got=$?
-    why="exit status $got, wanted $wanted: $*"
-    [ $got -eq "$wanted" ]
-}
+. tests/tap.sh
 prints() {
     why="stdout does not match $1: $(head -5 "$work/out")"
     grep -qE -- "$1" "$work/out"
-}
-says() {
-    why="stderr does not say \"$1\""
-    grep -qF -- "$1" "$work/err"
 }
 wall() {
     local what=$1
@@ -116,5 +90,4 @@ wait "$daemon"
 status=$?
 daemon=
 check "the daemon ends well" eval 'why="exit status $status"; [ $status -eq 0 ]'
-echo "1..$n"
-[ $failures -eq 0 ]
+finish_tap
