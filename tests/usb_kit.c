@@ -4,18 +4,21 @@
 // completes URBs when they are due, the library's one worker thread serves the ioctls and must never block.
 //
 // A usbfs node is writable when a URB can be reaped, and libusb waits for that. A plain file always is, so the node is a
-// FIFO: full while nothing has completed, drained when something has.
+// FIFO: full while nothing has completed, drained when something has. Where a plain file has to do (kit_plug_unheard),
+// poll() here rests before it says so.
 #include <umockdev.h>
 
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/usbdevice_fs.h>
+#include <poll.h>
 #include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -45,6 +48,20 @@ struct usb_kit {
     _Atomic unsigned boards;
     unsigned addresses;
 };
+
+// In the C library's place, for libusb, too. Without the rest its event thread would never leave the emulation's lock for long
+// enough that another gets it.
+__attribute__((visibility("default"))) int poll(struct pollfd *fds, nfds_t count, int timeout)
+{
+    const int r = (int)syscall(SYS_poll, fds, count, timeout);
+    struct stat s;
+    for (nfds_t i = 0; r > 0 && i < count; i++)
+        if (fds[i].revents & POLLOUT && fstat(fds[i].fd, &s) == 0 && S_ISREG(s.st_mode)) {
+            usleep(500);
+            break;
+        }
+    return r;
+}
 
 static uint64_t now_ns(void)
 {
@@ -232,7 +249,7 @@ static int reap(struct kit_board *b, UMockdevIoctlClient *client, UMockdevIoctlD
         p = &(*p)->next;
     struct kit_urb *u = *p;
     if (!u) {
-        set_ready(b, b->done || b->gone);
+        set_ready(b, b->done);
         return b->gone ? ENODEV : EAGAIN;
     }
     *p = u->next;
@@ -243,7 +260,7 @@ static int reap(struct kit_board *b, UMockdevIoctlClient *client, UMockdevIoctlD
     umockdev_ioctl_data_set_ptr(to, 0, u->data);
     g_object_unref(to);
     urb_free(u);
-    set_ready(b, b->done || b->gone);
+    set_ready(b, b->done);
     return 0;
 }
 
@@ -362,6 +379,13 @@ static int make_file(const struct kit_board *b, const char *path)
     return -1;
 }
 
+static void close_fifo(struct kit_board *b)
+{
+    if (b->fifo >= 0)
+        close(b->fifo);
+    b->fifo = -1;
+}
+
 static void make_node(struct kit_board *b, bool heard)
 {
     char path[1024];
@@ -370,6 +394,7 @@ static void make_node(struct kit_board *b, bool heard)
     snprintf(path, sizeof(path), "%s%s", b->kit->root, b->node);
     const int fifo = heard ? make_fifo(path) : make_file(b, path);
     pthread_mutex_lock(&b->lock);
+    close_fifo(b);
     b->fifo = fifo;
     b->gone = b->halted = false;
     while (b->done) { // of who held the earlier node
@@ -491,7 +516,6 @@ void kit_vanish(struct kit_board *b)
     b->gone = true;
     while (b->flying)
         finish(b, &b->flying, -ESHUTDOWN);
-    set_ready(b, true);
     pthread_mutex_unlock(&b->lock);
 }
 
@@ -507,12 +531,9 @@ void kit_unplug(struct kit_board *b)
         usleep(20000); // whoever hears of it may still look at the device's attributes
         umockdev_testbed_remove_device(b->kit->bed, b->syspath);
     }
-    // The node's handler stays: whoever has it open still gets ENODEV, not a broken line.
-    pthread_mutex_lock(&b->lock);
-    if (b->fifo >= 0)
-        close(b->fifo);
-    b->fifo = -1;
-    pthread_mutex_unlock(&b->lock);
+    // The node's handler and our end of it stay until the next plugging-in: whoever has it open still gets ENODEV, not a broken
+    // line, and is not told for ever that something waits there. (libusb would ask again and again, and whoever wants to
+    // close the board would wait for the emulation's lock.)
     b->plugged = false;
 }
 
@@ -607,6 +628,7 @@ void kit_destroy(struct usb_kit *k)
             b->done = u->next;
             urb_free(u);
         }
+        close_fifo(b);
         free(b->reply);
         free(b->picture);
         pthread_cond_destroy(&b->change);
