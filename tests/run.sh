@@ -16,13 +16,14 @@ export LSAN_OPTIONS=suppressions=$PWD/tests/lsan.supp:print_suppressions=0
 export TSAN_OPTIONS=suppressions=$PWD/tests/tsan.supp:halt_on_error=1:history_size=4
 
 rm -f "$LOGS"/*.count
+export TIMEFORMAT='%U %S'
 
 run() { # label command...
     label=$1
     shift
     log=$LOGS/$label.log
     start=$SECONDS
-    timeout 900 "$@" >"$log" 2>&1
+    cpu=$({ time timeout 900 "$@" >"$log" 2>&1; } 2>&1)
     status=$?
     # cmocka says "not ok 3 # SKIP name", scripts say "ok 3 - name # SKIP reason".
     s=$(grep -cE '^(not )?ok .*# *SKIP' "$log")
@@ -34,9 +35,9 @@ run() { # label command...
         echo "# $label: exit status $status after $((p + s + f - 1)) of ${plan:-?} tests" >>"$log"
     fi
     echo "$p $f $s" >"$LOGS/$label.count"
-    # In one piece: several lanes write here.
+    # In one piece: several write here.
     out=$(
-        printf '%-24s %4d passed %3d failed %3d skipped  %3d s\n' "$label" "$p" "$f" "$s" $((SECONDS - start))
+        printf '%-24s %4d passed %3d failed %3d skipped  %3d s, %3.0f + %3.0f of CPU\n' "$label" "$p" "$f" "$s" $((SECONDS - start)) $cpu
         grep -E '^(not )?ok .*# *SKIP|SKIPPED \\]' "$log" | sed -E 's/^(not )?ok [0-9]*/    skipped:/; s/^/    /'
         if [ "$f" -gt 0 ]; then
             grep -nE -A12 '^not ok|ERROR: |runtime error|WARNING: ThreadSanitizer|validation:|^# ' "$log" | head -60
@@ -57,20 +58,41 @@ pure="wall_def wall_layout psf plan frame params params_check reference referenc
     server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched server_memory wall_engine"
 usb="panel panel_gud usb usb_faults usb_daemon"
+# Under TSan, too.
+threaded="conn libairy libairy_request libairy_asset libairy_wall asset wall_pace wall_boards"
+threaded_server="server_limits server_frames server_life server_assets server_walls server_looks server"
 
-# Three lanes: what draws with many pipelines in one process, for the driver compiles shaders on one core; what waits most of its time,
-# for boards, daemons and clients; all else.
-draw() {
-    for t in $device; do
-        run "$t" "$BUILD/tests/test_$t"
+# One line a piece of work: its command, or several that must not run beside each other, first those that take longest (a long one
+# that begins last would run alone) and those whose shaders the others then find in the cache.
+work() {
+    for t in look property wall_engine; do
+        echo "run $t \$BUILD/tests/test_$t"
+    done
+    echo boards
+    for t in $threaded_server; do
+        echo "AIRYD=\$S/airyd AIRY=\$S/airy run tsan-$t \$many_locks \$S/tests/test_$t"
+    done
+    echo "run tsan-sched \$many_locks LD_PRELOAD=libvulkan_lvp.so \$S/tests/test_sched"
+    for s in tests/test_*.sh; do
+        echo "AIRYD=\$BUILD/airyd AIRY=\$BUILD/airy run $(basename "${s%.sh}" | sed 's/^test_//') bash $s"
     done
     for t in $device; do
-        [ $t = property ] || run "asan-$t" $keep "$A/tests/test_$t"
+        case $t in look | property | wall_engine) ;; *) echo "run $t \$BUILD/tests/test_$t" ;; esac
+        [ $t = property ] || echo "run asan-$t \$keep \$A/tests/test_$t"
     done
-    run asan-property $keep AIRY_SCENES=60 "$A/tests/test_property"
+    echo "run asan-property \$keep AIRY_SCENES=60 \$A/tests/test_property"
+    for t in $pure; do
+        echo "AIRYD=\$A/airyd AIRY=\$A/airy run asan-$t \$A/tests/test_$t"
+        echo "AIRYD=\$BUILD/airyd AIRY=\$BUILD/airy run $t \$BUILD/tests/test_$t"
+    done
+    for t in $threaded; do
+        echo "run tsan-$t \$S/tests/test_$t"
+    done
+    echo "AIRY_TEST_ONLY='test_[pt]*' run tsan-exr \$S/tests/test_exr"
 }
 
-# Programs under umockdev-wrapper; whose leaks are whose cannot be told there (test_server_walls tells of the daemon's).
+# Programs under umockdev-wrapper, which have an eye on real time; whose leaks are whose cannot be told there (test_server_walls tells
+# of the daemon's).
 boards() {
     for t in $usb; do
         AIRYD=$BUILD/airyd run "$t" umockdev-wrapper "$BUILD/tests/test_$t"
@@ -81,33 +103,10 @@ boards() {
     done
 }
 
-wait_for() {
-    for s in tests/test_*.sh; do
-        AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$(basename "${s%.sh}" | sed 's/^test_//')" bash "$s"
-    done
-    boards
-}
-
-serve() {
-    for t in $pure; do
-        AIRYD=$BUILD/airyd AIRY=$BUILD/airy run "$t" "$BUILD/tests/test_$t"
-    done
-    for t in $pure; do
-        AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
-    done
-    for t in conn libairy libairy_request libairy_asset libairy_wall asset exr wall_pace wall_boards; do
-        run "tsan-$t" "$S/tests/test_$t"
-    done
-    for t in server server_assets server_life server_frames server_limits server_looks server_walls; do
-        AIRYD=$S/airyd AIRY=$S/airy run "tsan-$t" $many_locks "$S/tests/test_$t"
-    done
-    run tsan-sched $many_locks LD_PRELOAD=libvulkan_lvp.so "$S/tests/test_sched"
-}
-
-draw &
-wait_for &
-serve
-wait
+export -f run boards
+export BUILD LOGS A S keep many_locks usb
+# One more than there are CPUs: boards, daemons and clients wait much of their time.
+work | xargs -d '\n' -P $(($(nproc) + 1)) -n 1 bash -c
 # Every program under tests/ is in a list above; one that is not would never run.
 for t in tests/test_*.c; do
     t=$(basename "${t%.c}" | sed 's/^test_//')

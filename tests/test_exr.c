@@ -697,5 +697,7 @@ int main(void)
         cmocka_unit_test(test_retype),       cmocka_unit_test(test_saturation),
         cmocka_unit_test(test_threads),      cmocka_unit_test(test_frames),
     };
+    if (getenv("AIRY_TEST_ONLY"))
+        cmocka_set_test_filter(getenv("AIRY_TEST_ONLY"));
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

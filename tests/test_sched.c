@@ -191,7 +191,7 @@ static void test_device_lost_once(void **state)
     open_world(&w, 3, 0, 0, 1);
     run_jobs(&w, well, faults);
     close_world(&w);
-    for (int at = 0; at < JOBS; at++) {
+    for (int at = 0; at < JOBS; at += JOBS / 2) {
         open_world(&w, 3, at, at + 1, 2);
         run_jobs(&w, lost, faults);
         assert_int_equal(creates, 2);

@@ -298,8 +298,7 @@ static void test_status_under_load(void **state)
         nap(5);
     }
     print_message("worst STATUS %.1f ms, %u requests in the daemon\n", worst * 1e3, most);
-    assert_true(most >= 8);
-    assert_true(worst < (daemon_sanitized() ? 20 : 2)); // generous: the machine may be loaded by others
+    assert_true(most >= 8); // answered before what was asked for earlier; in how few turns: test_server_limits
     for (int i = 0; i < 12; i++)
         expect_done(a, id[i]);
     airy_close(a);

@@ -75,7 +75,7 @@ tests: $(TESTS)
 check: deps
 	@$(MAKE) --no-print-directory check-built
 
-SUB = $(MAKE) --no-print-directory -j2
+SUB = $(MAKE) --no-print-directory -j$(shell nproc)
 check-built:
 	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan, $(BUILD)/fuzz"
 	@$(SUB) all tests
