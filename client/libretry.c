@@ -52,8 +52,8 @@ void lib_again_finish(struct airy *a)
 int64_t lib_due_ms(const struct airy *a)
 {
     const struct again *g = &a->again;
-    if (!g->away)
-        return -1;
+    if (!g->away) // asleep, and something needs it: now
+        return !a->final && !a->conn && (a->open || g->wanted) ? 0 : -1;
     return a->conn || g->next_ms > g->end_ms ? g->end_ms : g->next_ms;
 }
 
@@ -255,7 +255,12 @@ int lib_wait_up(struct airy *a, int64_t deadline_ms, struct airy_error *e)
     a->again.wanted = false;
     if (lib_up(a))
         return 0;
-    return late ? lib_fail(e, ETIMEDOUT, "", "there is no daemon yet (%.200s)", a->lost.text) : lib_copy_error(e, &a->lost);
+    if (!late)
+        return lib_copy_error(e, &a->lost);
+    lib_fail(e, ETIMEDOUT, "", "there is no daemon yet (%.200s)", a->lost.text);
+    if (e)
+        e->retryable = true;
+    return -1;
 }
 
 void airy_set_reconnect(struct airy *a, unsigned limit_ms)

@@ -52,7 +52,7 @@ A=$BUILD/asan S=$BUILD/tsan
 keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0"
 # The driver's compiler holds more locks at once than TSan's deadlock detector can count (its own CHECK fails).
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
-pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
+pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad libairy_retry libairy_kill \
     frames output exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
     server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched server_memory wall_engine"
@@ -95,7 +95,7 @@ serve() {
     for t in $pure; do
         AIRYD=$A/airyd AIRY=$A/airy run "asan-$t" "$A/tests/test_$t"
     done
-    for t in conn libairy libairy_request libairy_asset libairy_wall asset exr wall_pace wall_boards; do
+    for t in conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset exr wall_pace wall_boards; do
         run "tsan-$t" "$S/tests/test_$t"
     done
     for t in server server_assets server_life server_frames server_limits server_looks server_walls; do
