@@ -27,7 +27,7 @@ $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_output: $(addprefix $(BUILD)/client/,cmd_output.o cmd_cleanup.o cmd_exr.o)
 $(T)/test_output: LDFLAGS += -Wl,--wrap=fallocate,--wrap=sendfile,--wrap=write,--wrap=fsync,--wrap=renameat2
 $(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_libairy_retry $(T)/test_wall_command: $(T)/airy_peer.o
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_libairy_retry $(T)/test_wall_command $(T)/test_bloom_command: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
