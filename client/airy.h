@@ -64,6 +64,23 @@ AIRY_API int airy_connect(struct airy **out, const char *path, struct airy_error
 AIRY_API int airy_connect_fd(struct airy **out, int fd, struct airy_error *e);
 AIRY_API void airy_close(struct airy *a); /* NULL is fine; outstanding requests are dropped */
 
+/* When the daemon goes away (it dies, or stops), a connection by airy_connect is made anew at the path that answered, and open requests are
+ * sent again under the ids that they have: nobody has to know. That is tried for limit_ms without a daemon (30000 unless set; 0: never), with
+ * growing pauses; then every open request ends in an error that is `retryable`, and the next submit tries anew. A connection by
+ * airy_connect_fd never comes back.
+ * Sent again is what may be: EXR and raw frames, plans and assets, whose descriptors the library keeps open until the end. Not
+ * sent again, and ended with a retryable error: a frame with `show`; any frame for a wall when this connection has opened one without keep, as
+ * it went with the connection; an output_fd that is the input's file, where it was (data in the mapping of an output_fd cannot be seen: do
+ * not do that); requests from before limit_ms was set from 0. Progress then begins again, and a deadline goes on.
+ * A request during which the daemon died three times ends in a retryable error that says so. After a death those that were in flight are
+ * sent one at a time, and before all others: a frame that kills daemons costs that one frame.
+ * The new daemon's limits are checked again (airy_limits says them). What else it had is gone: assets (requests then fail with NO_ASSET: send
+ * the image, and submit anew) and walls. airy_status and airy_wall fail when the connection goes in their midst, and wait for it before.
+ * BUSY is not tried again here: wait retry_after_ms, and submit anew. */
+AIRY_API void airy_set_reconnect(struct airy *a, unsigned limit_ms);
+/* 1, and one more each time that the connection was made anew. */
+AIRY_API uint64_t airy_serial(const struct airy *a);
+
 struct airy_limits {
     uint64_t max_frame_bytes, max_pixels, credit_bytes;
     uint32_t max_width, max_height, max_requests;
@@ -74,7 +91,8 @@ AIRY_API const struct airy_limits *airy_limits(const struct airy *a);
 
 /* For an event loop: poll airy_fd() for airy_events() (POLLIN, POLLOUT), then call airy_pump(), then
  * airy_wait_any(..., 0, ...) until it returns 0. airy_pump never blocks: 0, or -1 when the connection is
- * lost; airy_fd() is then -1, and results that came before can still be had. */
+ * lost for good; airy_fd() is then -1, and results that came before can still be had. Until then airy_fd() stays the same, also while the
+ * connection is made anew, which the same calls do; it is no socket then, and good for polling alone. */
 AIRY_API int airy_fd(const struct airy *a);
 AIRY_API short airy_events(const struct airy *a);
 AIRY_API int airy_pump(struct airy *a, struct airy_error *e);
@@ -96,7 +114,7 @@ struct airy_param { char name[32]; char value[512]; };
 
 struct airy_request {
     /* Input: exactly one of data (sent inline, copied nowhere; it must stay until the submit's
-     * request ended, or airy_close) and input_fd (memfd sealed with F_SEAL_SHRINK, or a regular file;
+     * request ended, or airy_close: it may be sent more than once) and input_fd (memfd sealed with F_SEAL_SHRINK, or a regular file;
      * stays the caller's, may be closed after airy_submit). The payload is the `size` bytes from
      * `offset` on; size 0 with a descriptor: all from offset on. */
     const void *data;
@@ -158,7 +176,7 @@ AIRY_API int airy_memfd(uint64_t size, void **map, struct airy_error *e);
 
 /* Sends a request; *id is what to wait for. The strings and descriptors in *r are no longer needed when
  * it returns. Blocks while the connection has no credit or no request left (until earlier requests
- * end). Inline data that the socket does not take at once is sent by airy_pump and the waits. */
+ * end). While the connection is made anew, it is sent when that is done. Inline data that the socket does not take at once is sent by airy_pump and the waits. */
 AIRY_API int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e);
 /* An image that requests name by digest: lens dirt (parameter dirt=DIGEST), a kernel (psf=image:DIGEST). */
 struct airy_asset {
@@ -171,7 +189,7 @@ struct airy_asset {
 AIRY_API int airy_asset(struct airy *a, int input_fd, const void *data, uint64_t size, struct airy_asset *out,
                         struct airy_error *e);
 /* Asks to stop: the request then ends with symbol "CANCELLED", or as it would have, and is still to be
- * waited for. No harm when it has ended already. */
+ * waited for. No harm when it has ended already. What no daemon has at the moment ends so at once. */
 AIRY_API int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e);
 
 /* ---- results ----------------------------------------------------------------------------------- */

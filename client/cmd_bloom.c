@@ -10,7 +10,7 @@
 #include "cmd.h"
 #include "cmd_work.h"
 
-enum { JOBS_MAX = 64 };
+enum { JOBS_MAX = 64, PRIORITY_MIN = -10, PRIORITY_MAX = 10 };
 
 const struct option_row bloom_options[BLOOM_OPTIONS] = {
     [BLOOM_OUTPUT] = { "output", 'o', "FILE",
@@ -21,6 +21,9 @@ const struct option_row bloom_options[BLOOM_OPTIONS] = {
                               "the outputs' numbers, one for each of the inputs', in their order" },
     [BLOOM_ON_MISSING] = { "on-missing", 0, "WORD",
                            "a frame whose input is not there: fail, skip or black (default fail)" },
+    [BLOOM_PRIORITY] = { "priority", 0, "N", "among your own frames that wait for their turn, -10 to 10: higher first (default 0)" },
+    [BLOOM_DEADLINE] = { "deadline", 0, "TIME",
+                         "longest wait of a frame for its turn, such as 90s, 1.5m or 500ms; then it fails with status 5" },
     [BLOOM_JOBS] = { "jobs", 'j', "N", "frames in flight at once, 1 to 64 (default 4)" },
     [BLOOM_PART] = { "part", 0, "N|NAME", "part of the file (default: the beauty of each colour part)" },
     [BLOOM_LAYER] = { "layer", 0, "NAME",
@@ -97,6 +100,36 @@ static int jobs_read(unsigned *jobs, const char *value)
     return 0;
 }
 
+static int priority_read(int *priority, const char *value)
+{
+    char *end;
+    long n = strtol(value, &end, 10);
+    if (!*value || *value == ' ' || *end || n < PRIORITY_MIN || n > PRIORITY_MAX) {
+        cmd_complain("bloom: --priority %s: a number from %d to %d expected", value, PRIORITY_MIN, PRIORITY_MAX);
+        return -1;
+    }
+    *priority = (int)n;
+    return 0;
+}
+
+/* Seconds without a unit, so that it reads as every other time that people type. */
+static int deadline_read(uint32_t *deadline_ms, const char *value)
+{
+    static const struct {
+        const char *name;
+        double ms;
+    } units[] = { { "", 1e3 }, { "s", 1e3 }, { "ms", 1 }, { "m", 6e4 }, { "h", 3.6e6 } };
+    char *end = (char *)value;
+    double n = *value >= '0' && *value <= '9' ? strtod(value, &end) : -1;
+    for (unsigned i = 0; i < sizeof(units) / sizeof(units[0]); i++)
+        if (n > 0 && strcmp(end, units[i].name) == 0 && n * units[i].ms >= 1 && n * units[i].ms <= UINT32_MAX) {
+            *deadline_ms = (uint32_t)(n * units[i].ms);
+            return 0;
+        }
+    cmd_complain("bloom: --deadline %s: a time from 1ms to 1193h expected, such as 90s, 1.5m or 500ms", value);
+    return -1;
+}
+
 static const char *command_name(const struct bloom_asked *a)
 {
     return a->command == BLOOM_FOR_PLAN ? "plan" : "bloom";
@@ -153,6 +186,10 @@ static int option(struct bloom_asked *a, int id, const char *value)
         }
         a->output = value;
         return 0;
+    case BLOOM_PRIORITY:
+        return priority_read(&q->priority, value);
+    case BLOOM_DEADLINE:
+        return deadline_read(&q->deadline_ms, value);
     case BLOOM_JOBS:
         return jobs_read(&a->run.jobs, value);
     case BLOOM_OVERWRITE:

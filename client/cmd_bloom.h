@@ -15,6 +15,8 @@ enum bloom_option {
     BLOOM_OFFSET,
     BLOOM_OUTPUT_FRAMES,
     BLOOM_ON_MISSING,
+    BLOOM_PRIORITY,
+    BLOOM_DEADLINE,
     BLOOM_JOBS, /* up to here for airy bloom alone */
     BLOOM_PART,
     BLOOM_LAYER,

@@ -23,6 +23,7 @@ enum {
     RECONNECT_MS = 15000, /* for a daemon that was there and has gone */
     CODE_NO_ASSET = 223,
     CODE_BUSY = 400,
+    CODE_DEADLINE = 404,
     CODE_SHUTTING_DOWN = 502,
 };
 
@@ -32,6 +33,7 @@ struct run {
     size_t n, first_open; /* all before first_open have ended */
     size_t ended;
     unsigned in_flight;
+    unsigned suspects; /* not ended yet */
     bool hold;  /* the daemon is busy: submit nothing until something ends */
     bool abort; /* the request itself is wrong */
     bool failed;
@@ -71,6 +73,8 @@ static void frame_end(struct run *r, struct run_frame *f, bool failed)
     if (f->state == RUN_IN_FLIGHT)
         r->in_flight--;
     f->state = RUN_ENDED;
+    r->suspects -= f->suspect;
+    f->suspect = false;
     r->ended++;
     r->hold = false;
     r->failed = r->failed || failed;
@@ -147,13 +151,19 @@ static void frame_judge(struct run *r, struct run_frame *f, const struct airy_re
 
 /* ---- the connection ------------------------------------------------------------------------------ */
 
-/* All that was in flight has to be sent again: to the same place, or to a new private daemon. */
+/* All that was in flight has to be sent again: to the same place, or to a new private daemon. (libairy would do the former by
+ * itself; here both are one thing, and the images that frames name are sent again, too.) One of them may be what the daemon died of: they
+ * are sent one at a time then, so that it costs one frame. */
 static void connection_lost(struct run *r, const struct airy_error *e)
 {
     for (size_t i = r->first_open; i < r->n; i++) {
         struct run_frame *f = &r->frames[i];
         if (f->state != RUN_IN_FLIGHT)
             continue;
+        if (e->code != CODE_SHUTTING_DOWN) {
+            r->suspects += !f->suspect;
+            f->suspect = true;
+        }
         if (++f->tries < TRIES_MAX)
             frame_again(r, f);
         else
@@ -193,7 +203,7 @@ static void frame_refused(struct run *r, struct run_frame *f, const struct airy_
         r->hold = true;
         if (r->in_flight == 0)
             pause_for(e->retry_after_ms);
-    } else if (exit == CMD_RETRY && e->code != CODE_BUSY && ++f->tries < TRIES_MAX) {
+    } else if (exit == CMD_RETRY && e->code != CODE_BUSY && e->code != CODE_DEADLINE && ++f->tries < TRIES_MAX) {
         frame_again(r, f);
         pause_for(e->retry_after_ms);
     } else {
@@ -315,8 +325,25 @@ static void frame_submit(struct run *r, struct run_frame *f)
     close(fd);
 }
 
+/* Of those under suspicion the one that fewest daemons were lost with, alone. */
+static void submit_suspect(struct run *r)
+{
+    struct run_frame *next = NULL;
+    for (size_t i = r->first_open; i < r->n && r->in_flight == 0; i++) {
+        struct run_frame *f = &r->frames[i];
+        if (f->state == RUN_WAITING && f->suspect && (!next || f->tries < next->tries))
+            next = f;
+    }
+    if (next)
+        frame_submit(r, next);
+}
+
 static void submit_some(struct run *r)
 {
+    if (r->suspects) {
+        submit_suspect(r);
+        return;
+    }
     for (size_t i = r->first_open; i < r->n && !r->abort; i++) {
         if (r->in_flight >= r->o->jobs || (r->hold && r->in_flight))
             return;

@@ -23,6 +23,7 @@ struct run_frame {
     enum { RUN_WAITING, RUN_IN_FLIGHT, RUN_ENDED } state;
     uint64_t id;
     unsigned tries;
+    bool suspect; /* a daemon was lost while it was in flight */
     bool black; /* the input is one that the command made */
     bool asking, asked; /* whether the output is done already: in flight; it is not */
 };

@@ -188,8 +188,10 @@ static int daemon_connect(struct session *s, struct airy_error *e)
 {
     double end_s = now_s() + START_SECONDS;
     for (;;) {
-        if (airy_connect(&s->airy, s->socket, e) == 0)
+        if (airy_connect(&s->airy, s->socket, e) == 0) {
+            airy_set_reconnect(s->airy, 0);
             return 0;
+        }
         s->airy = NULL;
         if (e->code > 0)
             return -1; /* it answered, and does not want us */
@@ -210,8 +212,10 @@ int session_open(struct session *s, const struct session_options *o, struct airy
 {
     *s = (struct session)SESSION_NONE;
     if (o->socket || !o->device) {
-        if (airy_connect(&s->airy, o->socket, e) == 0)
+        if (airy_connect(&s->airy, o->socket, e) == 0) {
+            airy_set_reconnect(s->airy, 0);
             return 0;
+        }
         s->airy = NULL;
         if (o->socket || e->code > 0)
             return -1;

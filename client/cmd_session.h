@@ -29,7 +29,7 @@ struct session_options {
     const char *device; /* for a private daemon, which it asks for; NULL: any */
 };
 
-/* 0, or -1 and *e. */
+/* 0, or -1 and *e. The connection does not come back by itself: what to do about a lost daemon is the caller's. */
 int session_open(struct session *s, const struct session_options *o, struct airy_error *e);
 /* Ends a private daemon, too. A session that is not open is fine. */
 void session_close(struct session *s);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// libairy.c - the connection: hello, the pump that reads while it writes, and the waits.
+// libairy.c - the connection: what comes from the daemon, the pump that reads while it writes, and the waits.
 //
 // Everything that comes from the daemon is checked as if it were hostile; a message that may not come
 // loses the connection, with words.
@@ -13,13 +13,10 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/socket.h>
-#include <sys/un.h>
 #include <time.h>
 #include <unistd.h>
 
-// Long, for a daemon may be started by this very connection (socket activation), and tests its device before it says a word.
-enum { CONNECT_TIMEOUT_MS = 30000, READ_BYTES = 4 * 1024 * 1024 };
+enum { READ_BYTES = 4 * 1024 * 1024 };
 
 // ---- errors and time ---------------------------------------------------------------------------
 
@@ -36,7 +33,7 @@ int lib_fail(struct airy_error *e, int err, const char *field, const char *forma
     return -1;
 }
 
-static int copy_error(struct airy_error *out, const struct airy_error *e)
+int lib_copy_error(struct airy_error *out, const struct airy_error *e)
 {
     if (out)
         *out = *e;
@@ -58,10 +55,15 @@ void lib_request_free(struct request *r)
 {
     if (!r)
         return;
+    while (r->n_fds)
+        close(r->fds[--r->n_fds]);
+    free(r->body);
     airy_result_free(r->result);
     free(r->got);
     free(r);
 }
+
+const struct airy_error lib_cancelled = { .code = -ECANCELED, .symbol = "CANCELLED", .text = "the request was cancelled" };
 
 static struct request *find(struct request *list, uint64_t id)
 {
@@ -99,7 +101,7 @@ void lib_request_sent(void *request)
     settle(r);
 }
 
-static void end_request(struct request *r, const struct airy_error *e)
+void lib_request_end(struct request *r, const struct airy_error *e)
 {
     if (e)
         r->error = *e;
@@ -107,28 +109,20 @@ static void end_request(struct request *r, const struct airy_error *e)
     settle(r);
 }
 
-int lib_lose(struct airy *a, const struct airy_error *why)
+// By the daemon's word.
+static void end_request(struct request *r, const struct airy_error *e)
 {
-    a->lost = *why;
-    conn_destroy(a->conn);
-    a->conn = NULL;
-    while (a->open) {
-        struct request *r = a->open;
-        if (!r->ended)
-            end_request(r, why);
-        else
-            settle(r);
-    }
-    return -1;
+    lib_useful(r->airy);
+    lib_request_end(r, e);
 }
 
 // ---- messages from the daemon ------------------------------------------------------------------
 
-static void *place_data(void *ctx, uint64_t id, uint32_t bytes)
+void *lib_place_data(void *ctx, uint64_t id, uint32_t bytes)
 {
     struct airy *a = ctx;
     struct request *r = find(a->open, id);
-    if (!r || r->ended || r->output_kind != AIRY__OUTPUT__KIND__INLINE)
+    if (!r || !r->sent || r->ended || r->output_kind != AIRY__OUTPUT__KIND__INLINE)
         return NULL;
     uint64_t max = a->limits.max_frame_bytes < SIZE_MAX ? a->limits.max_frame_bytes : SIZE_MAX;
     if (bytes > max || r->got_bytes > max - bytes)
@@ -180,9 +174,11 @@ static int on_welcome(struct airy *a, const struct conn_message *m, struct airy_
         .max_requests = w->limits->max_requests,
     };
     a->credit_bytes = a->limits.credit_bytes;
+    a->has_walls = false;
     for (size_t i = 0; i < w->n_features; i++)
         a->has_walls = a->has_walls || strcmp(w->features[i], "wall") == 0;
     a->welcome = true;
+    lib_came_up(a);
     return 0;
 }
 
@@ -203,13 +199,14 @@ static int on_error(struct airy *a, const struct conn_message *m, struct airy_er
     snprintf(error.text, sizeof(error.text), "%s", *b->text ? b->text : "the daemon gives no reason");
     if (m->header.id && !lib_wall_error(a, m->header.id, &error)) {
         struct request *r = find(a->open, m->header.id);
-        if (!r || r->ended)
+        if (!r || !r->sent || r->ended)
             return lib_fail(e, EPROTO, "",
                             "the daemon sent ERROR %s for request %" PRIu64 ", which is not open",
                             error.symbol, m->header.id);
-        end_request(r, &error);
+        if (!lib_hold(r, &error))
+            end_request(r, &error);
     }
-    return m->header.id && !fault_closes((enum fault_code)error.code) ? 0 : copy_error(e, &error);
+    return m->header.id && !fault_closes((enum fault_code)error.code) ? 0 : lib_copy_error(e, &error);
 }
 
 static void status_users(struct airy_status *s, const Airy__StatusReply *b)
@@ -372,6 +369,8 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
     if (wall)
         return wall < 0 ? -1 : 0;
     struct request *r = find(a->open, id);
+    if (r && !r->sent)
+        r = NULL; // not this daemon's
     if (!a->welcome || type == WIRE_WELCOME || !may_come(r, type)) {
         for (unsigned i = 0; i < m->header.n_fds; i++)
             close(m->fds[i]);
@@ -383,9 +382,7 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
         on_result(r, m);
         return 0;
     case WIRE_CANCELLED:
-        end_request(r, &(struct airy_error){ .code = -ECANCELED,
-                                             .symbol = "CANCELLED",
-                                             .text = "the request was cancelled" });
+        end_request(r, &lib_cancelled);
         return 0;
     case WIRE_ASSET_KEPT:
         return on_kept(a, r, m, e);
@@ -404,10 +401,9 @@ static int on_message(struct airy *a, const struct conn_message *m, struct airy_
 
 // ---- the pump ------------------------------------------------------------------------------------
 
-int lib_step(struct airy *a)
+// 0: the connection may have been lost, and come back; -1: it is lost for good.
+static int exchange(struct airy *a)
 {
-    if (!a->conn)
-        return -1;
     struct airy_error e;
     struct fault f;
     struct conn_message m;
@@ -424,22 +420,45 @@ int lib_step(struct airy *a)
     int err = got < 0 ? got : got == 0 && written < 0 ? written : 0;
     if (!err)
         return 0;
-    if (err == -EPIPE || err == -ECONNRESET)
+    if (err == -EPIPE || err == -ECONNRESET) {
         lib_fail(&e, -err, "", "the daemon closed the connection%s",
                  a->open ? " while requests were open" : "");
-    else
+        e.retryable = true;
+    } else {
         lib_fail(&e, -err, "", "the connection failed: %s", strerror(-err));
+    }
     return lib_lose(a, &e);
+}
+
+int lib_step(struct airy *a)
+{
+    if (!a->final)
+        lib_away_step(a);
+    if (a->conn)
+        exchange(a);
+    if (a->conn)
+        lib_drained(a);
+    if (lib_up(a)) {
+        lib_send_waiting(a);
+        if (a->conn)
+            conn_flush(a->conn); // a failure is still there the next time, with its reason
+    }
+    lib_watch(a);
+    return a->final ? -1 : 0;
 }
 
 int lib_step_until(struct airy *a, int64_t deadline_ms)
 {
-    if (!a->conn)
+    if (a->final)
         return -1;
-    int64_t left_ms = deadline_ms < 0 ? -1 : deadline_ms - lib_now_ms();
-    if (deadline_ms >= 0 && left_ms < 0)
+    int64_t due_ms = lib_due_ms(a), until_ms = deadline_ms;
+    if (due_ms >= 0 && (until_ms < 0 || due_ms < until_ms))
+        until_ms = due_ms;
+    int64_t left_ms = until_ms < 0 ? -1 : until_ms - lib_now_ms();
+    if (until_ms >= 0 && left_ms < 0)
         left_ms = 0;
-    struct pollfd p = { .fd = airy_fd(a), .events = airy_events(a) };
+    struct pollfd p = { .fd = a->conn ? conn_fd(a->conn) : -1,
+                        .events = (short)(POLLIN | (a->conn && conn_wants_write(a->conn) ? POLLOUT : 0)) };
     poll(&p, 1, left_ms > INT32_MAX ? INT32_MAX : (int)left_ms);
     if (lib_step(a) < 0)
         return -1;
@@ -449,141 +468,38 @@ int lib_step_until(struct airy *a, int64_t deadline_ms)
 
 int airy_pump(struct airy *a, struct airy_error *e)
 {
-    return lib_step(a) < 0 ? copy_error(e, &a->lost) : 0;
+    return lib_step(a) < 0 ? lib_copy_error(e, &a->lost) : 0;
 }
 
-int airy_fd(const struct airy *a) { return a->conn ? conn_fd(a->conn) : -1; }
+int airy_fd(const struct airy *a)
+{
+    if (a->final)
+        return -1;
+    return a->again.watch_fd >= 0 ? a->again.watch_fd : conn_fd(a->conn);
+}
 
 short airy_events(const struct airy *a)
 {
-    return a->conn ? (short)(POLLIN | (conn_wants_write(a->conn) ? POLLOUT : 0)) : 0;
+    if (a->final)
+        return 0;
+    bool writes = a->again.watch_fd < 0 && conn_wants_write(a->conn);
+    return (short)(POLLIN | (writes ? POLLOUT : 0));
 }
 
-// ---- connecting ----------------------------------------------------------------------------------
-
-static int hello(struct airy *a, int64_t deadline_ms, struct airy_error *e)
-{
-    Airy__Hello h = AIRY__HELLO__INIT;
-    h.version_min = h.version_max = WIRE_VERSION;
-    h.client = (char *)"libairy/" AIRY_VERSION;
-    int err = body_send(a->conn, WIRE_HELLO, 0, &h.base, NULL, 0);
-    if (err)
-        return lib_fail(e, -err, "", "HELLO: %s", strerror(-err));
-    if (lib_step(a) < 0)
-        return copy_error(e, &a->lost);
-    while (!a->welcome) {
-        int up = lib_step_until(a, deadline_ms);
-        if (up < 0)
-            return copy_error(e, &a->lost);
-        if (up && !a->welcome)
-            return lib_fail(e, ETIMEDOUT, "", "the daemon did not answer HELLO in %d ms",
-                            CONNECT_TIMEOUT_MS);
-    }
-    return 0;
-}
-
-static int connect_until(struct airy **out, int fd, int64_t deadline_ms, struct airy_error *e)
-{
-    struct conn *conn;
-    int err = conn_create(&conn, fd, WIRE_CLIENT);
-    if (err) {
-        close(fd);
-        return lib_fail(e, -err, "fd", "descriptor %d cannot be a connection: %s", fd, strerror(-err));
-    }
-    struct airy *a = calloc(1, sizeof(*a));
-    if (!a) {
-        conn_destroy(conn);
-        return lib_fail(e, ENOMEM, "", "no memory for a connection");
-    }
-    a->conn = conn;
-    a->next_id = 1;
-    conn_set_sink(conn, place_data, a);
-    if (hello(a, deadline_ms, e) < 0) {
-        airy_close(a);
-        return -1;
-    }
-    *out = a;
-    return 0;
-}
-
-int airy_connect_fd(struct airy **out, int fd, struct airy_error *e)
-{
-    return connect_until(out, fd, lib_now_ms() + CONNECT_TIMEOUT_MS, e);
-}
-
-// A connected socket, or -errno.
-static int open_socket(const char *path, int64_t deadline_ms)
-{
-    struct sockaddr_un address = { .sun_family = AF_UNIX };
-    if (strlen(path) >= sizeof(address.sun_path))
-        return -ENAMETOOLONG;
-    strcpy(address.sun_path, path);
-    int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
-    if (fd < 0)
-        return -errno;
-    // A full backlog makes connect wait; the send time-out bounds that.
-    int64_t left_ms = deadline_ms - lib_now_ms();
-    if (left_ms < 1)
-        left_ms = 1;
-    struct timeval left = { .tv_sec = left_ms / 1000, .tv_usec = left_ms % 1000 * 1000 };
-    int err = 0;
-    if (setsockopt(fd, SOL_SOCKET, SO_SNDTIMEO, &left, sizeof(left)) < 0)
-        err = -errno;
-    while (!err && connect(fd, (struct sockaddr *)&address, sizeof(address)) < 0)
-        if (errno != EINTR || lib_now_ms() > deadline_ms)
-            err = errno == EAGAIN ? -ETIMEDOUT : -errno;
-    if (err) {
-        close(fd);
-        return err;
-    }
-    return fd;
-}
-
-// "PATH: reason; " of each that did not answer.
-static void add_tried(char *tried, size_t size, const char *path, int err)
-{
-    size_t n = strlen(tried);
-    snprintf(tried + n, size - n, "%s%s: %s", n ? "; " : "", path, strerror(-err));
-}
-
-int airy_connect(struct airy **out, const char *path, struct airy_error *e)
-{
-    int64_t deadline_ms = lib_now_ms() + CONNECT_TIMEOUT_MS;
-    const char *own = getenv("AIRY_SOCKET"), *runtime = getenv("XDG_RUNTIME_DIR");
-    char user[sizeof(((struct sockaddr_un *)0)->sun_path) + 1] = "", tried[320] = "";
-    if (runtime && *runtime)
-        snprintf(user, sizeof(user), "%s/airyd.sock", runtime);
-    const char *paths[] = { own, user, "/run/airyd/airyd.sock" };
-    unsigned count = sizeof(paths) / sizeof(paths[0]);
-    if (path) {
-        paths[0] = path;
-        count = 1;
-    }
-    int err = -ENOENT;
-    for (unsigned i = 0; i < count; i++) {
-        if (!paths[i] || !*paths[i])
-            continue;
-        int fd = open_socket(paths[i], deadline_ms);
-        if (fd >= 0)
-            return connect_until(out, fd, deadline_ms, e);
-        err = fd;
-        add_tried(tried, sizeof(tried), paths[i], fd);
-    }
-    return lib_fail(e, -err, "socket", "no daemon answers (%s)", *tried ? tried : "no path given");
-}
+// ---- the connection's facts and its end ------------------------------------------------------------
 
 void airy_close(struct airy *a)
 {
     if (!a)
         return;
-    if (a->conn)
-        lib_lose(a, &(struct airy_error){ .code = -ECANCELED, .symbol = "LOCAL" });
+    lib_lose(a, &(struct airy_error){ .code = -ECANCELED, .symbol = "LOCAL" });
     while (a->done) {
         struct request *r = a->done;
         a->done = r->next;
         lib_request_free(r);
     }
     body_arena_finish(&a->arena);
+    lib_again_finish(a);
     free(a);
 }
 
@@ -597,7 +513,7 @@ const struct airy_limits *airy_limits(const struct airy *a) { return &a->limits;
 static int hand_out(struct airy *a, struct request *r, struct airy_result **out, struct airy_error *e)
 {
     unlink_request(&a->done, r);
-    int rc = r->result || r->is_kept ? 1 : copy_error(e, &r->error);
+    int rc = r->result || r->is_kept ? 1 : lib_copy_error(e, &r->error);
     if (r->result && out) {
         *out = r->result;
         r->result = NULL;
@@ -618,8 +534,8 @@ static int wait_for(struct airy *a, uint64_t *id, int timeout_ms, struct airy_re
             *id = r->id;
             return hand_out(a, r, out, e);
         }
-        if (!a->conn)
-            return copy_error(e, &a->lost);
+        if (a->final)
+            return lib_copy_error(e, &a->lost);
         if (*id ? !find(a->open, *id) : !a->open)
             return *id ? lib_fail(e, ENOENT, "id", "there is no request %" PRIu64 " to wait for", *id)
                        : lib_fail(e, ENOENT, "id", "there is no request to wait for");
@@ -649,16 +565,16 @@ int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct 
 {
     int64_t deadline_ms = lib_deadline_ms(timeout_ms);
     struct airy_status status;
-    if (!a->conn)
-        return copy_error(e, &a->lost);
-    uint64_t id = a->next_id++;
+    if (lib_wait_up(a, deadline_ms, e) < 0)
+        return -1;
+    uint64_t id = a->next_id++, serial = a->again.serial;
     int err = body_send(a->conn, WIRE_STATUS, id, NULL, NULL, 0);
     if (err)
         return lib_fail(e, -err, "", "STATUS: %s", strerror(-err));
     a->status_id = id;
     a->status = &status;
     lib_step(a);
-    for (bool up = false; a->status && a->conn && !up;)
+    for (bool up = false; a->status && lib_up(a) && a->again.serial == serial && !up;)
         up = lib_step_until(a, deadline_ms) > 0;
     bool answered = !a->status;
     a->status = NULL;
@@ -666,7 +582,7 @@ int airy_status(struct airy *a, struct airy_status *out, int timeout_ms, struct 
         *out = status;
         return 0;
     }
-    if (!a->conn)
-        return copy_error(e, &a->lost);
+    if (!lib_up(a) || a->again.serial != serial)
+        return lib_copy_error(e, &a->lost);
     return lib_fail(e, ETIMEDOUT, "", "the daemon did not answer STATUS in %d ms", timeout_ms);
 }

@@ -206,105 +206,231 @@ static int draft_make(struct draft *d, const struct airy_request *r, struct airy
     return 0;
 }
 
-// Blocks until a request of this size may be sent.
-static int wait_for_credit(struct airy *a, uint64_t bytes, struct airy_error *e)
+// ---- sending ---------------------------------------------------------------------------------------
+
+// In place: what was read is no more once a daemon has written a part of it.
+static bool is_in_place(const struct airy_request *r, uint64_t size)
 {
+    struct stat in, out;
+    if (r->data || r->output_fd < 0 || fstat(r->input_fd, &in) < 0 || fstat(r->output_fd, &out) < 0)
+        return false;
+    if (in.st_dev != out.st_dev || in.st_ino != out.st_ino)
+        return false;
+    return r->offset < r->output_offset ? r->output_offset - r->offset < size
+                                        : r->offset - r->output_offset < r->output_size;
+}
+
+// What WELCOME allows; of the next daemon's, too.
+static int check_limits(const struct airy *a, uint64_t bytes, bool wall, struct airy_error *e)
+{
+    if (wall && !a->has_walls)
+        return lib_fail(e, ENOTSUP, "wall", "%s drives no walls", a->server);
     if (bytes > a->limits.credit_bytes)
         return lib_fail(e, EFBIG, "input.size",
                         "the payload is %" PRIu64 " bytes, a connection may have %" PRIu64 " in flight",
                         bytes, a->limits.credit_bytes);
+    return 0;
+}
+
+// What the open requests say of the next one.
+struct queue {
+    struct request *next; // to be sent; NULL: none waits
+    unsigned in_flight;
+    bool suspects;
+};
+
+// A daemon died of one of those that were in flight, and nobody knows which: they go first, and one at a time, so that the next
+// death has one cause. Those that have been there for fewer deaths go before.
+static bool goes_before(const struct request *a, const struct request *b)
+{
+    if (!a->losses != !b->losses)
+        return a->losses != 0;
+    return a->losses != b->losses ? a->losses < b->losses : a->id < b->id;
+}
+
+static struct queue queue_look(const struct airy *a)
+{
+    struct queue q = { 0 };
+    for (struct request *r = a->open; r; r = r->next) {
+        q.in_flight += r->sent;
+        q.suspects |= r->losses && !r->ended;
+        if (!r->sent && !r->ended && (!q.next || goes_before(r, q.next)))
+            q.next = r;
+    }
+    return q;
+}
+
+static bool has_room(const struct airy *a, uint64_t bytes)
+{
+    struct queue q = queue_look(a);
+    unsigned most = a->limits.max_requests ? a->limits.max_requests : 1;
+    if (a->open_count >= most)
+        return false;
+    return !lib_up(a) || a->again.draining || q.suspects || (!q.next && a->credit_bytes >= bytes);
+}
+
+// Blocks until a request of this size may be sent, or may wait for the next connection.
+static int wait_for_room(struct airy *a, uint64_t bytes, bool wall, struct airy_error *e)
+{
+    if (!a->final && check_limits(a, bytes, wall, e) < 0)
+        return -1;
     lib_step(a);
-    while (a->conn &&
-           (a->credit_bytes < bytes || (a->open_count && a->open_count >= a->limits.max_requests)))
+    while (!a->final && !has_room(a, bytes)) {
         lib_step_until(a, -1);
-    if (!a->conn && e)
-        *e = a->lost;
-    return a->conn ? 0 : -1;
+        if (lib_up(a) && check_limits(a, bytes, wall, e) < 0)
+            return -1;
+    }
+    return a->final ? lib_copy_error(e, &a->lost) : 0;
 }
 
-// Queues BLOOM or ASSET with descriptors of the conn's own.
-static int queue_first(struct airy *a, enum wire_type type, uint64_t id, const struct draft *d,
-                       const ProtobufCMessage *body, struct airy_error *e)
+static int pack(struct request *request, const ProtobufCMessage *body, struct airy_error *e)
 {
-    int fds[WIRE_FDS_MAX] = { -1, -1 };
-    unsigned n = 0;
-    int err = 0;
-    for (; n < d->n_fds && !err; n++)
-        if ((fds[n] = fcntl(d->fds[n], F_DUPFD_CLOEXEC, 0)) < 0) {
-            err = -errno;
-            break;
-        }
-    if (!err)
-        err = body_send(a->conn, type, id, body, fds, n);
-    if (!err)
-        return 0;
-    while (n)
-        close(fds[--n]);
-    return lib_fail(e, -err, "",
-                    err == -EMSGSIZE ? "the request's texts are longer than a message may be"
-                                     : "the request cannot be queued");
+    request->body_bytes = protobuf_c_message_get_packed_size(body);
+    if (request->body_bytes > WIRE_CONTROL_BYTES_MAX)
+        return lib_fail(e, EMSGSIZE, "", "the request's texts are longer than a message may be");
+    request->body = malloc(request->body_bytes + 1);
+    if (!request->body)
+        return lib_fail(e, ENOMEM, "", "no memory for a request");
+    protobuf_c_message_pack(body, request->body);
+    return 0;
 }
 
-// Queues the data, if it is inline. When that fails the message is on its way without its bytes: nothing on this
-// connection can be relied on.
-static void queue_data(struct airy *a, struct request *request, const struct airy_request *r)
-{
-    struct airy_error lost;
-    if (!r->data)
-        return;
-    request->sending = true;
-    if (conn_send_data(a->conn, request->id, (const uint8_t *)r->data + r->offset, r->size, lib_request_sent,
-                       request) == 0)
-        return;
-    request->sending = false;
-    lib_fail(&lost, ENOMEM, "", "no memory to send a payload");
-    lib_lose(a, &lost);
-}
-
-// A new request of this kind, sent: on the open list. NULL and *e.
-static struct request *request_send(struct airy *a, enum request_kind kind, const struct airy_request *r,
+// A new request of this kind, on no list yet. NULL and *e.
+static struct request *request_make(struct airy *a, enum request_kind kind, const struct airy_request *r,
                                     const struct draft *d, struct airy_error *e)
 {
+    Airy__Asset asset = AIRY__ASSET__INIT;
+    asset.input = (Airy__Payload *)&d->input;
     struct request *request = calloc(1, sizeof(*request));
     if (!request) {
         lib_fail(e, ENOMEM, "", "no memory for a request");
         return NULL;
     }
-    request->airy = a;
-    request->kind = kind;
-    request->id = a->next_id;
-    request->input_bytes = d->input.size;
-    request->output_kind = d->output.kind;
-    request->progress = r->progress;
-    request->progress_ctx = r->progress_ctx;
-    Airy__Asset asset = AIRY__ASSET__INIT;
-    asset.input = (Airy__Payload *)&d->input;
-    bool is_asset = kind == REQUEST_ASSET;
-    if (queue_first(a, is_asset ? WIRE_ASSET : WIRE_BLOOM, request->id, d,
-                    is_asset ? &asset.base : &d->bloom.base, e) < 0) {
-        lib_request_free(request);
-        return NULL;
-    }
-    a->next_id++;
-    a->credit_bytes -= d->input.size;
+    *request = (struct request){
+        .airy = a,
+        .kind = kind,
+        .input_bytes = d->input.size,
+        .output_kind = d->output.kind,
+        .progress = r->progress,
+        .progress_ctx = r->progress_ctx,
+        .data = r->data ? (const uint8_t *)r->data + r->offset : NULL,
+        .deadline_ms = r->deadline_ms,
+        .wall = r->wall != NULL,
+        .again = a->again.limit_ms && !r->show && !is_in_place(r, d->input.size),
+    };
+    if (pack(request, kind == REQUEST_ASSET ? &asset.base : &d->bloom.base, e) < 0)
+        goto fail;
+    for (; request->n_fds < d->n_fds; request->n_fds++)
+        if ((request->fds[request->n_fds] = fcntl(d->fds[request->n_fds], F_DUPFD_CLOEXEC, 0)) < 0) {
+            lib_fail(e, errno, "", "the request cannot be queued");
+            goto fail;
+        }
+    return request;
+fail:
+    lib_request_free(request);
+    return NULL;
+}
+
+static void request_queue(struct airy *a, struct request *request)
+{
+    request->id = a->next_id++;
+    request->submitted_ms = lib_now_ms();
     request->next = a->open;
     a->open = request;
     a->open_count++;
-    return request;
+}
+
+// The deadline is counted from the submit on, wherever the time went.
+static int queue_body(struct request *r, const int *fds)
+{
+    struct conn *conn = r->airy->conn;
+    int64_t waited_ms = lib_now_ms() - r->submitted_ms;
+    if (r->kind == REQUEST_ASSET || !r->deadline_ms || waited_ms <= 0)
+        return conn_send(conn, r->kind == REQUEST_ASSET ? WIRE_ASSET : WIRE_BLOOM, r->id, r->body, r->body_bytes, fds, r->n_fds);
+    Airy__Bloom *b = airy__bloom__unpack(NULL, r->body_bytes, r->body);
+    if (!b)
+        return -ENOMEM;
+    b->deadline_ms = waited_ms < r->deadline_ms ? r->deadline_ms - (uint32_t)waited_ms : 1;
+    int err = body_send(conn, WIRE_BLOOM, r->id, &b->base, fds, r->n_fds);
+    airy__bloom__free_unpacked(b, NULL);
+    return err;
+}
+
+// BLOOM or ASSET, with descriptors of the conn's own.
+static int queue_first(struct request *r, struct airy_error *e)
+{
+    int fds[WIRE_FDS_MAX] = { -1, -1 };
+    unsigned n = 0;
+    int err = 0;
+    for (; r->again && n < r->n_fds; n++)
+        if ((fds[n] = fcntl(r->fds[n], F_DUPFD_CLOEXEC, 0)) < 0) {
+            err = -errno;
+            break;
+        }
+    if (!err)
+        err = queue_body(r, r->again ? fds : r->fds);
+    if (err) {
+        while (n)
+            close(fds[--n]);
+        return lib_fail(e, -err, "", "the request cannot be queued");
+    }
+    if (!r->again)
+        r->n_fds = 0; // the conn's
+    return 0;
+}
+
+// Queues the data, if it is inline. When that fails the message is on its way without its bytes: nothing on this
+// connection can be relied on.
+static void queue_data(struct request *r)
+{
+    struct airy_error lost;
+    if (!r->data)
+        return;
+    r->sending = true;
+    if (conn_send_data(r->airy->conn, r->id, r->data, r->input_bytes, lib_request_sent, r) == 0)
+        return;
+    r->sending = false;
+    lib_fail(&lost, ENOMEM, "", "no memory to send a payload");
+    lib_lose(r->airy, &lost);
+}
+
+void lib_send_waiting(struct airy *a)
+{
+    while (lib_up(a) && !a->again.draining) {
+        struct airy_error e;
+        struct queue q = queue_look(a);
+        struct request *r = q.next;
+        if (!r || (q.suspects && q.in_flight))
+            return;
+        if (check_limits(a, r->input_bytes, r->wall, &e) < 0) {
+            lib_request_end(r, &e);
+            continue;
+        }
+        if (a->credit_bytes < r->input_bytes || (q.in_flight && q.in_flight >= a->limits.max_requests))
+            return;
+        if (queue_first(r, &e) < 0) {
+            lib_request_end(r, &e);
+            continue;
+        }
+        r->sent = true;
+        a->credit_bytes -= r->input_bytes;
+        queue_data(r);
+    }
 }
 
 int airy_submit(struct airy *a, const struct airy_request *r, uint64_t *id, struct airy_error *e)
 {
     struct draft d;
-    if (r->wall && a->conn && !a->has_walls)
-        return lib_fail(e, ENOTSUP, "wall", "%s drives no walls", a->server);
-    if (draft_make(&d, r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
+    if (lib_up(a) && check_limits(a, 0, r->wall != NULL, e) < 0)
         return -1;
-    struct request *request = request_send(a, r->plan_only ? REQUEST_PLAN : REQUEST_BLOOM, r, &d, e);
+    if (draft_make(&d, r, e) < 0 || wait_for_room(a, d.input.size, r->wall != NULL, e) < 0)
+        return -1;
+    struct request *request = request_make(a, r->plan_only ? REQUEST_PLAN : REQUEST_BLOOM, r, &d, e);
     if (!request)
         return -1;
+    request_queue(a, request);
     *id = request->id;
-    queue_data(a, request, r);
+    lib_send_waiting(a);
     lib_step(a);
     return 0;
 }
@@ -319,15 +445,16 @@ int airy_asset(struct airy *a, int input_fd, const void *data, uint64_t size, st
     r.size = data ? size : 0;
     d.n_fds = 0;
     airy__output__init(&d.output);
-    if (draft_input(&d, &r, e) < 0 || wait_for_credit(a, d.input.size, e) < 0)
+    if (draft_input(&d, &r, e) < 0 || wait_for_room(a, d.input.size, false, e) < 0)
         return -1;
     struct airy_asset kept = { .digest = "" };
-    struct request *request = request_send(a, REQUEST_ASSET, &r, &d, e);
+    struct request *request = request_make(a, REQUEST_ASSET, &r, &d, e);
     if (!request)
         return -1;
     request->kept = &kept;
+    request_queue(a, request);
     uint64_t id = request->id;
-    queue_data(a, request, &r);
+    lib_send_waiting(a);
     // The only place where this id is known: whatever happens, it is waited for here.
     if (airy_wait(a, id, -1, NULL, e) < 0)
         return -1;
@@ -337,13 +464,19 @@ int airy_asset(struct airy *a, int input_fd, const void *data, uint64_t size, st
 
 int airy_cancel(struct airy *a, uint64_t id, struct airy_error *e)
 {
-    if (!a->conn) {
-        if (e)
-            *e = a->lost;
-        return -1;
+    if (a->final)
+        return lib_copy_error(e, &a->lost);
+    struct request *r = a->open;
+    while (r && r->id != id)
+        r = r->next;
+    if (r)
+        r->cancelled = true;
+    if (r && !r->sent && !r->ended)
+        lib_request_end(r, &lib_cancelled);
+    else if (lib_up(a)) {
+        int err = body_send(a->conn, WIRE_CANCEL, id, NULL, NULL, 0);
+        if (err)
+            return lib_fail(e, -err, "", "CANCEL: %s", strerror(-err));
     }
-    int err = body_send(a->conn, WIRE_CANCEL, id, NULL, NULL, 0);
-    if (err)
-        return lib_fail(e, -err, "", "CANCEL: %s", strerror(-err));
     return airy_pump(a, e);
 }

@@ -260,11 +260,6 @@ static int wall_send(struct airy *a, const struct airy_wall_request *q, uint64_t
 
 static int wall_allowed(struct airy *a, const struct airy_wall_request *q, struct airy_error *e)
 {
-    if (!a->conn) {
-        if (e)
-            *e = a->lost;
-        return -1;
-    }
     if (!a->has_walls)
         return lib_fail(e, ENOTSUP, "", "%s drives no walls", a->server);
     if ((unsigned)q->action > AIRY_WALL_PREVIEW)
@@ -277,21 +272,26 @@ static int wall_allowed(struct airy *a, const struct airy_wall_request *q, struc
 static int ask_once(struct airy *a, const struct airy_wall_request *q, int64_t deadline_ms, int timeout_ms,
                     struct airy_wall_reply **out, struct airy_error *e)
 {
+    if (lib_wait_up(a, deadline_ms, e) < 0)
+        return -1;
     struct wall_wait w = { .id = a->next_id, .preview = q->action == AIRY_WALL_PREVIEW };
+    const uint64_t serial = a->again.serial;
     if (wall_allowed(a, q, e) < 0 || wall_send(a, q, w.id, e) < 0)
         return -1;
+    a->own_walls |= q->action == AIRY_WALL_OPEN && !q->keep;
     a->next_id++;
     a->wall = &w;
     lib_step(a);
-    for (bool up = false; !w.ended && a->conn && !up;)
+    for (bool up = false; !w.ended && lib_up(a) && a->again.serial == serial && !up;)
         up = lib_step_until(a, deadline_ms) > 0;
     a->wall = NULL;
     free(w.got); // what a good answer did not take
+    const bool lost = !lib_up(a) || a->again.serial != serial;
     if (w.reply) {
         *out = w.reply;
         return 0;
     }
-    if (w.ended || !a->conn) {
+    if (w.ended || lost) {
         if (e)
             *e = w.ended ? w.error : a->lost;
         return -1;

@@ -178,6 +178,7 @@ struct airy *daemon_join(const struct daemon *d)
     struct airy_error e;
     if (airy_connect(&a, d->path, &e) < 0)
         fail_msg("connect: %s", e.text);
+    airy_set_reconnect(a, 0);
     return a;
 }
 

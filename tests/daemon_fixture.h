@@ -39,7 +39,7 @@ void daemon_exec(const char *const *first, const char *const *more) __attribute_
 /* True when the tests are built with a sanitizer: bounds on time and memory mean nothing then. */
 bool daemon_sanitized(void);
 
-/* A connection of libairy to it. */
+/* A connection of libairy to it, which does not come back: so that a test sees what the daemon did. */
 struct airy *daemon_join(const struct daemon *d);
 /* A connected stream socket. */
 int peer_socket(const struct daemon *d);

@@ -157,6 +157,7 @@ static int ask(enum way way, struct airy_error *e)
     struct airy_asset kept;
     if (airy_connect(&a, here.path, e) < 0)
         return -1;
+    airy_set_reconnect(a, 0); // each failure is to be seen
     int rc = way == WAY_STATUS ? airy_status(a, &s, 60000, e)
              : way == WAY_WALL ? wall(a, e)
              : way == WAY_ASSET ? airy_asset(a, -1, file, file_bytes, &kept, e)

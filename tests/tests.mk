@@ -17,7 +17,7 @@ $(T)/test_engine $(HARD_TESTS) $(T)/test_property: $(T)/reference/reference.o $(
 $(HARD_TESTS): $(T)/hard_kit.o
 $(T)/test_wall_engine: $(T)/reference/reference.o $(T)/reference/reference_wall.o $(T)/scene_kit.o $(T)/scene_kernel.o
 $(T)/test_look: $(T)/reference/reference_look.o $(T)/look_kit.o
-$(T)/test_server $(T)/test_server_frames $(T)/test_server_life $(T)/test_server_walls: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_server $(T)/test_server_frames $(T)/test_server_life $(T)/test_server_walls $(T)/test_libairy_kill: $(T)/daemon_fixture.o $(T)/daemon_picture.o
 $(T)/test_server_looks: $(T)/daemon_fixture.o $(T)/daemon_picture.o $(T)/daemon_exr.o $(T)/tools/exr_tool.o $(T)/scene_kit.o \
 	$(T)/scene_kernel.o $(T)/reference/reference.o $(T)/reference/reference_look.o
 $(T)/test_exr $(T)/test_exr_layers $(T)/test_exr_grow $(T)/test_exr_bad: $(T)/tools/exr_run.o $(T)/tools/exr_tool.o
@@ -27,7 +27,7 @@ $(T)/test_frames: $(BUILD)/client/frames.o $(BUILD)/client/progress.o
 $(T)/test_output: $(addprefix $(BUILD)/client/,cmd_output.o cmd_cleanup.o cmd_exr.o)
 $(T)/test_output: LDFLAGS += -Wl,--wrap=fallocate,--wrap=sendfile,--wrap=write,--wrap=fsync,--wrap=renameat2
 $(T)/test_wall_text: $(addprefix $(BUILD)/client/,cmd_wall_text.o cmd_wall_clock.o cmd_json.o)
-$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_wall_command: $(T)/airy_peer.o
+$(T)/test_libairy $(T)/test_libairy_request $(T)/test_libairy_bad $(T)/test_libairy_asset $(T)/test_libairy_wall $(T)/test_libairy_retry $(T)/test_wall_command $(T)/test_bloom_command: $(T)/airy_peer.o
 
 # Dense sums over every pair of pixels of a row: the compiler vectorises them.
 $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
