@@ -117,13 +117,13 @@ def against(script: Script, verb: Callable[[airy.Client], Any]) -> Any:
 
 
 def _blocking(verb: Callable[[Any], Any]) -> Any:
-    with airy.Client("peer", timeout=5) as c:
+    with airy.Client("peer", timeout=5, reconnect=0) as c:
         return verb(c)
 
 
 def _asyncio(verb: Callable[[Any], Any]) -> Any:
     async def use() -> Any:
-        async with airy.aio.Client("peer", timeout=5) as c:
+        async with airy.aio.Client("peer", timeout=5, reconnect=0) as c:
             return await asyncio.wait_for(verb(c), 10)
 
     return asyncio.run(use())
