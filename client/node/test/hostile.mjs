@@ -17,7 +17,7 @@ async function answered(answer, wanted, ask = (airy) => airy.bloom(FRAME)) {
       if (m.type === 'DATA' || m.type === 'STATUS')
         await answer(peer, m.id);
   });
-  const airy = await connect({ path: daemon.path });
+  const airy = await connect({ path: daemon.path, reconnect: false });
   try {
     const asked = ask(airy);
     return wanted ? await rejects(asked, wanted) : await asked;
@@ -99,7 +99,7 @@ async function greetings() {
   for (const [name, [answer, wanted]] of Object.entries(cases))
     await check(`HELLO answered by ${name}`, async () => {
       const daemon = await falseDaemon(answer, { greet: false });
-      await rejects(connect({ path: daemon.path, timeoutMs: name === 'nothing' ? 200 : 20_000 }), wanted);
+      await rejects(connect({ path: daemon.path, reconnect: false, timeoutMs: name === 'nothing' ? 200 : 20_000 }), wanted);
       daemon.close();
     });
 }
@@ -139,7 +139,7 @@ async function behaviour() {
           peer.send('STATUS_REPLY', m.id, {});
       }
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await assert.rejects(airy.bloom(FRAME, {}, { onProgress: () => { throw why; } }), why);
     await airy.status();
     assert.equal(airy.pending, 0);
@@ -161,7 +161,7 @@ async function behaviour() {
               peer.send('RESULT', m.id, { output: { kind: 'INLINE' } });
           }
       });
-      const airy = await connect({ path: daemon.path, busyRetries: retries });
+      const airy = await connect({ path: daemon.path, reconnect: false, busyRetries: retries });
       if (refusals > retries)
         await rejects(airy.bloom(FRAME), { symbol: 'BUSY', code: 400, retryable: true, retryAfterMs: 1 });
       else
@@ -196,7 +196,7 @@ async function behaviour() {
           }, 2);
       }
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await Promise.all(Array.from({ length: 40 }, (_, i) => airy.bloom(Buffer.alloc((i % 4 + 1) * 200_000))));
     assert.ok(most > 1 && most <= LIMITS.maxRequests, `${most} were open`);
     assert.ok(mostBytes > 400_000 && mostBytes <= LIMITS.creditBytes, `${mostBytes} bytes were out`);
@@ -216,7 +216,7 @@ async function behaviour() {
         if (m.type === 'STATUS')
           peer.send('STATUS_REPLY', m.id, { done: 5 });
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await rejects(airy.bloom(big), { symbol: 'PARAM_UNKNOWN', field: 'params.x' });
     assert.equal((await airy.status()).done, 5n);
     airy.close();

@@ -216,7 +216,7 @@ async function inFlight(daemon) {
 async function lost() {
   const { bytes } = await scene(192, 108);
   await check('a daemon that is killed: without reconnect each request hears of it', async () => {
-    const daemon = await startDaemon(OPTIONS), airy = await connect({ path: daemon.path });
+    const daemon = await startDaemon(OPTIONS), airy = await connect({ path: daemon.path, reconnect: false });
     const all = frames(8).map(({ params }) => airy.bloom(bytes, params).then(() => 'done', (e) => e));
     daemon.child.kill('SIGKILL');
     const ends = (await Promise.all(all)).filter((e) => e !== 'done');
@@ -227,9 +227,9 @@ async function lost() {
     airy.close();
   });
   for (const signal of ['SIGKILL', 'SIGTERM'])
-    await check(`a daemon that ends by ${signal} and comes back: with reconnect every frame is right`, async () => {
+    await check(`a daemon that ends by ${signal} and comes back: every frame is right`, async () => {
       let daemon = await startDaemon(OPTIONS);
-      const airy = await connect({ path: daemon.path, reconnect: { attempts: 100, delayMsMax: 100 } });
+      const airy = await connect({ path: daemon.path, reconnect: { forMs: 60_000, delayMsMax: 100 } });
       const wanted = [];
       for (const { params } of frames(8))
         wanted.push(digest((await airy.bloom(bytes, params)).output));
