@@ -64,6 +64,11 @@ async function refused() {
     'silence and the end': [(p) => p.socket.end(), { symbol: 'DISCONNECTED', retryable: true }],
     'an ERROR of the connection': [(p) => { p.send('ERROR', 0n, { code: 502, symbol: 'SHUTTING_DOWN', text: 'stopping', retryable: true }); p.socket.end(); },
       { symbol: 'SHUTTING_DOWN', code: 502, origin: 'daemon', retryable: true, text: 'stopping' }],
+    // What no client can cause from outside: a fault in the daemon, a lost device.
+    'a fault in the daemon': [(p, id) => p.send('ERROR', id, { code: 500, symbol: 'INTERNAL', text: 'it is so' }),
+      { symbol: 'INTERNAL', code: 500, origin: 'daemon', retryable: false }],
+    'a lost device': [(p, id) => p.send('ERROR', id, { code: 501, symbol: 'DEVICE_LOST', text: 'it is so', retryable: true }),
+      { symbol: 'DEVICE_LOST', code: 501, origin: 'daemon', retryable: true }],
     'an error of the future': [(p, id) => p.send('ERROR', id, { code: 999, symbol: 'TIRED', text: 'so tired', field: 'x' }),
       { symbol: 'TIRED', code: 999, field: 'x', retryable: false }],
   };

@@ -211,13 +211,13 @@ export const LIMITS = { maxFrameBytes: 1 << 20, maxWidth: 4096, maxHeight: 4096,
   maxBodyBytes: 1 << 20 };
 
 /** A daemon's end in the test's hands: serve(peer) is called for each client, after WELCOME unless `greet` is false. */
-export async function falseDaemon(serve, { greet = true, limits = LIMITS } = {}) {
+export async function falseDaemon(serve, { greet = true, limits = LIMITS, features = [] } = {}) {
   const path = socketPath();
   const server = net.createServer(async (socket) => {
     const peer = new Peer(socket, 'client');
     if (greet) {
       await peer.next();
-      peer.send('WELCOME', 0n, { version: 1, server: 'false/1', limits });
+      peer.send('WELCOME', 0n, { version: 1, server: 'false/1', features, limits });
     }
     await serve(peer);
   });
