@@ -146,9 +146,13 @@ else
 fi
 
 # ---- a wheel -----------------------------------------------------------------------------------------
-wheel() { # built and used outside the tree, by setuptools alone: no index is asked
+wheel() { # built and used outside the tree, by pip or by setuptools alone: no index is asked
     cp -r client/python "$work/package" && cp proto/airy.proto "$work/package/" && mkdir "$work/site" &&
-        (cd "$work/package" && "$python" -c 'from setuptools import build_meta as b; print(b.build_wheel("../wheel"))') &&
+        (cd "$work/package" && if "$python" -m pip --version >/dev/null 2>&1; then
+            "$python" -m pip wheel --no-index --no-deps --no-build-isolation --no-cache-dir --disable-pip-version-check --wheel-dir ../wheel .
+        else
+            "$python" -c 'from setuptools import build_meta as b; print(b.build_wheel("../wheel"))'
+        fi) &&
         (cd "$work/site" && "$python" -m zipfile -e "$work"/wheel/airy-*.whl .) &&
         PYTHONPATH=$work/site "$python" -c '
 import airy, sys
