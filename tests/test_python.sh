@@ -55,7 +55,7 @@ check() { # description, command...
 
 # Each prints TAP of its own: its lines are numbered anew, and its plan must agree.
 for t in vectors peer conformance live; do
-    timeout 200 "$python" -W always::ResourceWarning "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
+    timeout 400 "$python" -W always::ResourceWarning "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
     status=$?
     plan=$(sed -n 's/^1\.\.//p' "$work/out")
     lines=$(grep -cE '^(not )?ok ' "$work/out")

@@ -36,6 +36,8 @@ async function* frames(rate) {
 const airy = await connect(), definition = await readFile(file, 'utf8');
 const wall = await airy.wallOpen(definition);
 console.log(`${wall.name}: ${wall.leds} LEDs, ${wall.rate} frames/s`);
+// The first one takes longest: what it needs is made.
+await airy.bloom(draw(0), {}, { wall: wall.name, show: true, raw: { width, height } });
 // A frame whose daemon went is left out; when the wall went with it, it is opened again.
 const onError = async (error) => {
   if (error.symbol === 'NO_WALL')

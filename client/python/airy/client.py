@@ -23,7 +23,7 @@ from ._verbs import Make, Verbs
 _T = TypeVar("_T")
 _STEP_S = 0.05  # how long a thread may wait for another's step before it looks again
 _RECONNECT_S = 15.0
-ASK_S = 5.0
+ASK_S = 15.0
 
 
 class _Connection:

@@ -112,7 +112,7 @@ class Daemon:
 
     def kill(self, how: int = signal.SIGKILL) -> int:
         self.process.send_signal(how)
-        return self.process.wait(30)
+        return self.process.wait(120)
 
     def stop(self) -> None:
         if self.process.poll() is None:
