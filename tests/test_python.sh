@@ -55,7 +55,7 @@ check() { # description, command...
 
 # Each prints TAP of its own: its lines are numbered anew, and its plan must agree.
 for t in vectors peer conformance live; do
-    timeout 200 "$python" -W always::ResourceWarning "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
+    timeout 400 "$python" -W always::ResourceWarning "client/python/tests/test_$t.py" >"$work/out" 2>"$work/err"
     status=$?
     plan=$(sed -n 's/^1\.\.//p' "$work/out")
     lines=$(grep -cE '^(not )?ok ' "$work/out")
@@ -121,10 +121,38 @@ watches() { # a frame that lies there, one that is moved in, one that is damaged
 }
 check "examples/watch_folder.py blooms what comes, and survives a damaged frame" watches
 
+batches() { # all good frames of a folder, with a damaged one among them; then only what is missing
+    mkdir "$work/batch" "$work/done"
+    for i in 1 2 3; do cp "$work/in.exr" "$work/batch/$i.exr"; done
+    head -c 3000 "$work/in.exr" >"$work/batch/bad.exr"
+    "$python" client/python/examples/batch_folder.py "$work/batch" "$work/done" threshold=0.8
+    [ $? -eq 1 ] || return 1
+    for i in 1 2 3; do cmp "$work/done/$i.exr" "$work/command.exr" || return 1; done
+    [ ! -e "$work/done/bad.exr" ] && rm "$work/batch/bad.exr" "$work/done/2.exr" &&
+        "$python" client/python/examples/batch_folder.py "$work/batch" "$work/done" threshold=0.8 2>"$work/said" &&
+        grep -q '1/1 ' "$work/said" && cmp "$work/done/2.exr" "$work/command.exr"
+}
+check "examples/batch_folder.py blooms a folder, and goes on where it was" batches
+
+printf 'wall: sign\npanels:\n- {name: p, size: [16, 9]}\nboards:\n- {serial: NOT-THERE, panels: p}\n' >"$work/sign.yaml"
+feeds() {
+    "$python" client/python/examples/wall_feed.py "$work/sign.yaml" 1 >"$work/said" && cat "$work/said" &&
+        grep -q '^sign: 144 LEDs, 60 frames/s' "$work/said" && grep -qE '^[1-9][0-9]* frames, [1-9][0-9]* shown' "$work/said"
+}
+if "$python" -c 'import numpy' 2>/dev/null; then
+    check "examples/wall_feed.py feeds a wall" feeds
+else
+    skip "examples/wall_feed.py" "no NumPy: install python3-numpy"
+fi
+
 # ---- a wheel -----------------------------------------------------------------------------------------
-wheel() { # built and used outside the tree, by setuptools alone: no index is asked
+wheel() { # built and used outside the tree, by pip or by setuptools alone: no index is asked
     cp -r client/python "$work/package" && cp proto/airy.proto "$work/package/" && mkdir "$work/site" &&
-        (cd "$work/package" && "$python" -c 'from setuptools import build_meta as b; print(b.build_wheel("../wheel"))') &&
+        (cd "$work/package" && if "$python" -m pip --version >/dev/null 2>&1; then
+            "$python" -m pip wheel --no-index --no-deps --no-build-isolation --no-cache-dir --disable-pip-version-check --wheel-dir ../wheel .
+        else
+            "$python" -c 'from setuptools import build_meta as b; print(b.build_wheel("../wheel"))'
+        fi) &&
         (cd "$work/site" && "$python" -m zipfile -e "$work"/wheel/airy-*.whl .) &&
         PYTHONPATH=$work/site "$python" -c '
 import airy, sys

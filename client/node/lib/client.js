@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
 // client.js - connect(), and what its result does: one method a question. A request is a loop around Connection.request: BUSY is asked
-// again when the daemon says, and, where `reconnect` was asked for, a lost connection is opened again and the request resubmitted. All
-// requests of the protocol are idempotent (the same request gives the same bytes), but for one whose output has begun to flow into a
-// Writable.
+// again when the daemon says, and a lost connection is opened again and the request resubmitted, so many times and for so long, unless
+// `reconnect` is false. Most requests of the protocol are idempotent (the same request gives the same bytes); not those that show a frame,
+// or open, close or test a wall, nor one whose output has begun to flow into a Writable.
 import { setTimeout as sleep } from 'node:timers/promises';
 import { mayResubmit, openConnection } from './connection.js';
 import { AiryAbortError, AiryError, argument } from './errors.js';
-import { likeInput, toBloom, toBytes } from './input.js';
+import { likeInput, toBloom, toBytes, toDrive } from './input.js';
 import { BloomStream } from './stream.js';
 
 const RETRY_MS_MAX = 10_000; // a daemon that says "in an hour" is asked again before
-const RECONNECT = { attempts: 10, delayMs: 50, delayMsMax: 2000, resubmits: 3 };
+const RECONNECT = { forMs: 15_000, attempts: 100, delayMs: 20, delayMsMax: 1000, resubmits: 3 };
+const WALL_BUSY_RETRIES = 40, WALL_RETRY_MS_MAX = 500; // a wall that is being closed is gone in a second
+const PREVIEW_BYTES_MAX = 3 << 20; // a wall has at most 1 << 20 pixels
 
 async function pause(ms, signal) {
   try {
@@ -56,10 +58,29 @@ async function openAny(options) {
 const TOTALS = ['input', 'bright', 'bloomed', 'lost', 'clamped', 'suppressed'];
 
 function resultOf(reply, output, size) {
-  const { targets, ms, notes, device, chunks, chunksCopied, exposure } = reply;
+  const { targets, ms, notes, device, chunks, chunksCopied, exposure, need, stamp } = reply;
   const energy = Object.fromEntries(TOTALS.map((name) => [name, targets.reduce((sum, t) => sum + (t.energy?.[name] ?? 0), 0)]));
   const bound = targets.reduce((most, t) => Math.max(most, t.errorBound), 0);
-  return { output, size, targets, energy, bound, ms, notes, device, chunks, chunksCopied, exposure };
+  return { output, size, targets, energy, bound, ms, notes, device, chunks, chunksCopied, exposure, need, stamp };
+}
+
+// Of a frame that is done again the second way through is not told twice.
+function neverFalling(onProgress) {
+  let least = 0;
+  return onProgress && ((progress) => {
+    if (progress.fraction >= least) {
+      least = progress.fraction;
+      onProgress(progress);
+    }
+  });
+}
+
+const wrong = (field, text) => new AiryError('BAD_BODY', `from the daemon: ${text}`, { field });
+
+function oneWall({ walls }) {
+  if (walls.length !== 1)
+    throw wrong('walls', `${walls.length} walls came, expected the one that was named`);
+  return walls[0];
 }
 
 export class Airy {
@@ -82,15 +103,35 @@ export class Airy {
   get pending() { return this.#connection.pending; }
 
   async bloom(input, params, options = {}) {
-    const { signal, onProgress, into, exr, raw } = options;
-    const request = toBloom(input, params, { exr, raw, progress: Boolean(onProgress), plan: false });
-    const { reply, output, size } = await this.#ask(signal, (c) => c.request({ ...request, into, onProgress, signal }));
-    return resultOf(reply, likeInput(input, output), size);
+    const { signal, onProgress, into, ...rest } = options;
+    this.#knows({ wall: rest.wall, priority: rest.priority, deadline: rest.deadlineMs });
+    const request = { ...toBloom(input, params, { ...rest, progress: Boolean(onProgress), plan: false }), into, signal,
+      onProgress: neverFalling(onProgress) };
+    if (rest.wall && !rest.show && !into)
+      return this.#drive(request, rest.wall);
+    const { reply, output, size } = await this.#ask(signal, (c) => c.request(request));
+    return resultOf(reply, request.output ? likeInput(input, output) : null, size ?? 0);
+  }
+
+  // A drive is as large as its wall, which its RESULT does not say; the list comes before that.
+  async #drive(request, name) {
+    const { reply, output, size, listed } = await this.#ask(request.signal, async (c) => {
+      const asked = c.ask({ type: 'WALL', answer: 'WALL_REPLY', body: { action: 'LIST', name } });
+      asked.catch(() => {}); // then the request fails, too, and better
+      const done = await c.request(request);
+      return { ...done, listed: (await asked).reply };
+    });
+    const { width, height } = oneWall(listed);
+    if (size !== width * height * 12)
+      throw new AiryError('PAYLOAD', `the drive of a wall of ${width} x ${height} is ${size} bytes, expected ${width * height * 12}`,
+        { field: 'output.size' });
+    return { ...resultOf(reply, toDrive(output), size), width, height };
   }
 
   async plan(input, params, options = {}) {
-    const { signal, exr, raw } = options;
-    const request = toBloom(input, params, { exr, raw, progress: false, plan: true });
+    const { signal, exr, raw, wall, partOf } = options;
+    this.#knows({ wall });
+    const request = toBloom(input, params, { exr, raw, wall, partOf, progress: false, plan: true });
     const { reply } = await this.#ask(signal, (c) => c.request({ ...request, signal }));
     return resultOf(reply, null, 0);
   }
@@ -105,8 +146,36 @@ export class Airy {
     return reply;
   }
 
-  status({ signal } = {}) {
-    return this.#ask(signal, (c) => c.status({ signal }));
+  async status({ signal } = {}) {
+    return (await this.#ask(signal, (c) => c.ask({ type: 'STATUS', body: null, answer: 'STATUS_REPLY', signal }))).reply;
+  }
+
+  async wallList(name = '', { signal } = {}) {
+    const { reply } = await this.#wall({ action: 'LIST', name }, { signal });
+    const { walls, controllers, usb } = reply;
+    return { walls, controllers, usb };
+  }
+
+  async wallOpen(definition, { calibration, keep, signal } = {}) {
+    const { reply } = await this.#wall({ action: 'OPEN', definition, calibration, keep }, { signal, once: true });
+    return oneWall(reply);
+  }
+
+  async wallClose(name, { signal } = {}) {
+    await this.#wall({ action: 'CLOSE', name }, { signal, once: true });
+  }
+
+  async wallPattern(name, pattern = '', { board, led, level, signal } = {}) {
+    const { reply } = await this.#wall({ action: 'PATTERN', name, pattern, board, led, level }, { signal, once: true });
+    return oneWall(reply);
+  }
+
+  async wallPreview(name, { signal } = {}) {
+    const { reply, data } = await this.#wall({ action: 'PREVIEW', name }, { signal, dataMax: PREVIEW_BYTES_MAX });
+    const wall = oneWall(reply), want = wall.width * wall.height * 3, { kind = 'NONE', size = 0n } = reply.preview ?? {};
+    if (kind !== 'INLINE' || size !== BigInt(data.length) || data.length !== want)
+      throw wrong('preview.size', `a preview of ${want} bytes is said to be ${kind} of ${size}, ${data.length} came`);
+    return { wall, width: wall.width, height: wall.height, data };
   }
 
   stream(params, options) {
@@ -118,21 +187,41 @@ export class Airy {
     this.#connection.close();
   }
 
-  async #ask(signal, send) {
-    const { reconnect, busyRetries } = this.#options;
-    for (let busy = 0, lost = 0; ;) {
+  #knows(asked) {
+    for (const [feature, given] of Object.entries(asked))
+      if (given && !this.features.includes(feature))
+        throw argument(feature, `${this.server} does not know ${feature}`);
+  }
+
+  #wall(body, { signal, once, dataMax }) {
+    this.#knows({ wall: true });
+    return this.#ask(signal, (c) => c.ask({ type: 'WALL', answer: 'WALL_REPLY', body, signal, once, dataMax }),
+      { busyRetries: WALL_BUSY_RETRIES, retryMsMax: WALL_RETRY_MS_MAX });
+  }
+
+  async #ask(signal, send, { busyRetries = this.#options.busyRetries, retryMsMax = RETRY_MS_MAX } = {}) {
+    const { reconnect } = this.#options;
+    for (let busy = 0, lost = 0, end = null; ;) {
       const connection = await this.#live(signal);
       try {
         return await send(connection);
       } catch (error) {
         if (error.symbol === 'BUSY' && error.origin === 'daemon' && busy++ < busyRetries) {
-          await pause(Math.min(Math.max(error.retryAfterMs, 1), RETRY_MS_MAX), signal);
+          await pause(Math.min(Math.max(error.retryAfterMs, 1), retryMsMax), signal);
           continue;
         }
-        const again = mayResubmit.has(error) || error.symbol === 'SHUTTING_DOWN';
-        if (!reconnect || this.#closed || !again || lost++ >= reconnect.resubmits)
+        if (!reconnect || this.#closed || !mayResubmit.has(error))
+          throw error;
+        // A daemon that stops has refused it without trying: that is not one of the few times, but it has its time.
+        const refused = error.symbol === 'SHUTTING_DOWN';
+        end ??= performance.now() + reconnect.forMs;
+        if (refused ? performance.now() >= end : lost++ >= reconnect.resubmits)
           throw error;
         connection.retired = true;
+        if (refused)
+          await pause(reconnect.delayMs, signal);
+        else
+          end = null;
       }
     }
   }
@@ -151,7 +240,7 @@ export class Airy {
   }
 
   async #reopen() {
-    const { attempts, delayMs, delayMsMax } = this.#options.reconnect;
+    const { attempts, delayMs, delayMsMax, forMs } = this.#options.reconnect, end = performance.now() + forMs;
     for (let n = 0; ; n++)
       try {
         const next = await openAny(this.#options);
@@ -161,15 +250,15 @@ export class Airy {
           next.close();
         return;
       } catch (error) {
-        if (!error.retryable || n + 1 >= attempts || this.#closed)
+        if (!error.retryable || n + 1 >= attempts || this.#closed || performance.now() >= end)
           throw error;
-        await sleep(Math.min(delayMs * 2 ** n, delayMsMax));
+        await sleep(Math.min(delayMs * 2 ** n, delayMsMax, Math.max(1, end - performance.now())));
       }
   }
 }
 
 export async function connect(options = {}) {
-  const { path, reconnect = false, busyRetries = 20, timeoutMs = 5000, client = 'airy-node/0.1.0' } = options;
+  const { path, reconnect = true, busyRetries = 20, timeoutMs = 30_000, client = 'airy-node/0.1.0' } = options;
   if (!Number.isInteger(busyRetries) || busyRetries < 0)
     throw argument('busyRetries', `busyRetries is ${busyRetries}, expected a whole number from 0`);
   if (!(timeoutMs > 0 && timeoutMs <= 2 ** 31 - 1))

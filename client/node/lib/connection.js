@@ -12,9 +12,11 @@ import { BODY_BYTES_MAX, bodyName, DATA_BYTES_MAX, encodeHeader, FrameError, Fra
 import { BodyError, decode, encode } from './protobuf.js';
 import { makeSink } from './sink.js';
 
-/** Errors of a lost connection whose request can be asked again: none of its bytes have been handed on. */
+/** Errors whose request can be asked again of another daemon: it was refused by one that stops, or its connection was lost, it gives the
+ same however often it is asked or was not sent yet, and none of its output has been handed on. */
 export const mayResubmit = new WeakSet();
 
+const ANSWERS = ['STATUS_REPLY', 'WALL_REPLY'];
 const END = { BLOOM: 'RESULT', ASSET: 'ASSET_KEPT' };
 
 /** Opens, greets and is welcomed, or rejects; all within timeoutMs. */
@@ -45,7 +47,7 @@ export class Connection {
   #waiting = []; // not sent: no credit, or too many open
   #open = new Map(); // sent, and not ended
   #uploads = []; // of those, with DATA left
-  #statuses = new Map();
+  #asked = new Map(); // questions: STATUS, WALL
   #holds = 0; // who wants the socket not to be read
   /** Another should be opened for what comes next. */
   retired = false;
@@ -85,7 +87,8 @@ export class Connection {
   }
 
   /**
-   * One request: { type: BLOOM or ASSET, body, input, output, into, expectBytes, onProgress, signal }; `output` tells whether DATA may come.
+   * One request: { type: BLOOM or ASSET, body, input, output, into, expectBytes, onProgress, signal, once }; `output` tells whether DATA may
+   * come, `once` that it is not asked again when it was sent.
    * Resolves with { reply, output, size }, or rejects with an AiryError; those in mayResubmit can be asked again.
    */
   request(wanted) {
@@ -125,21 +128,32 @@ export class Connection {
     });
   }
 
-  status({ signal } = {}) {
+  /**
+   * One question: { type: STATUS or WALL, body, answer, dataMax, signal, once }, answered beside whatever is in flight. Resolves with
+   * { reply, data }: DATA, of at most dataMax bytes, may come before the answer.
+   */
+  ask({ type, body, answer, dataMax = 0, signal, once = false }) {
     return new Promise((resolve, reject) => {
       if (signal?.aborted)
         return reject(new AiryAbortError(signal.reason));
       if (this.#lost)
-        return reject(this.#again(this.#lost, null));
+        return reject(this.#again(this.#lost, { once: false }));
+      let bytes;
+      try {
+        bytes = this.#encode(type, body);
+      } catch (error) {
+        return reject(error);
+      }
       const id = this.#nextId++;
+      // Its answer is still taken when nobody waits for it any more.
       const onAbort = () => reject(new AiryAbortError(signal.reason));
       signal?.addEventListener('abort', onAbort, { once: true });
       const done = (settle) => (value) => {
         signal?.removeEventListener('abort', onAbort);
         settle(value);
       };
-      this.#statuses.set(id, { resolve: done(resolve), reject: done(reject) });
-      this.#send('STATUS', id, null);
+      this.#asked.set(id, { id, answer, dataMax, once, got: 0, pieces: [], resolve: done(resolve), reject: done(reject) });
+      this.#write(type, id, bytes);
     });
   }
 
@@ -247,8 +261,11 @@ export class Connection {
       return;
     if (!this.#welcome !== (h.type === 'WELCOME'))
       this.#refuse(h, this.#welcome ? ' twice' : ' before WELCOME');
-    const request = this.#open.get(h.id);
-    if (h.type === 'DATA') {
+    const request = this.#open.get(h.id), question = this.#asked.get(h.id);
+    if (h.type === 'DATA' && question?.dataMax) {
+      if (question.got + h.bodyBytes > question.dataMax)
+        throw new FrameError('PAYLOAD', 'preview.size', `the answer to question ${h.id} has more than ${question.dataMax} bytes of DATA`);
+    } else if (h.type === 'DATA') {
       if (!request?.output)
         this.#refuse(h, ': no open request has output');
       const most = request.expectBytes ?? this.#maxFrame;
@@ -258,11 +275,17 @@ export class Connection {
       this.#refuse(h, ': no open request ends so');
     else if (h.type === 'CANCELLED' && !request?.settled)
       this.#refuse(h, ': no open request was cancelled');
-    else if (h.type === 'STATUS_REPLY' && !this.#statuses.has(h.id))
-      this.#refuse(h, ': no STATUS is open');
+    else if (ANSWERS.includes(h.type) && question?.answer !== h.type)
+      this.#refuse(h, ': no question is open that it answers');
   }
 
   #onData(h, piece) {
+    const question = this.#asked.get(h.id);
+    if (question) {
+      question.got += piece.length;
+      question.pieces.push(Buffer.from(piece));
+      return;
+    }
     const request = this.#open.get(h.id);
     request.got += piece.length;
     if (!request.settled)
@@ -282,9 +305,11 @@ export class Connection {
       case 'CREDIT': return this.#onCredit(body);
       case 'ERROR': return this.#onError(h, body, request);
       case 'STATUS_REPLY':
-        this.#statuses.get(h.id).resolve(body);
-        this.#statuses.delete(h.id);
-        return;
+      case 'WALL_REPLY': {
+        const question = this.#asked.get(h.id);
+        this.#asked.delete(h.id);
+        return question.resolve({ reply: body, data: Buffer.concat(question.pieces) });
+      }
       case 'PROGRESS':
         if (request && !request.settled && request.onProgress)
           this.#tell(request, body);
@@ -325,11 +350,15 @@ export class Connection {
   }
 
   #onError(h, body, request) {
-    const error = fromDaemon(body), last = h.id === 0n || closes(body.code);
-    if (!request && !last)
+    const error = fromDaemon(body), last = h.id === 0n || closes(body.code), question = this.#asked.get(h.id);
+    if (!request && !question && !last)
       this.#refuse(h, ': no such request is open');
+    if (body.symbol === 'SHUTTING_DOWN' && !last)
+      mayResubmit.add(error);
     this.#open.delete(h.id);
+    this.#asked.delete(h.id);
     request?.settle(error);
+    question?.reject(error);
     if (last)
       this.#lose(error);
   }
@@ -365,7 +394,8 @@ export class Connection {
     if (!(error instanceof AiryError))
       return error;
     const own = error.again();
-    if (error.retryable && !request?.sink?.handedOn)
+    const sent = request.id !== undefined;
+    if (error.retryable && !request.sink?.handedOn && !(request.once && sent))
       mayResubmit.add(own);
     return own;
   }
@@ -375,15 +405,15 @@ export class Connection {
       return;
     this.#lost = error;
     this.#socket.destroy();
-    const requests = [...this.#waiting, ...this.#open.values()], statuses = [...this.#statuses.values()];
+    const requests = [...this.#waiting, ...this.#open.values()], questions = [...this.#asked.values()];
     this.#waiting = [];
     this.#uploads = [];
     this.#open.clear();
-    this.#statuses.clear();
+    this.#asked.clear();
     for (const request of requests)
       request.settle(this.#again(error, request));
-    for (const { reject } of statuses)
-      reject(this.#again(error, null));
+    for (const question of questions)
+      question.reject(this.#again(error, question));
     if (!this.#welcome)
       this.#greeted(error);
   }

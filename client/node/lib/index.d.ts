@@ -4,18 +4,22 @@
 // Payloads go inline: Node's sockets carry no descriptors. A buffer that is given to bloom, plan or asset must not change until the
 // promise has settled. 64-bit numbers are bigint.
 import type { Duplex, DuplexOptions, Writable } from 'node:stream';
-import type { AssetKept, Device, Energy, ExrOptions, Limits, Progress, StageTimes, StatusReply, Target } from '../gen/messages.js';
+import type { AssetKept, Controller, Device, Energy, ExrOptions, Limits, Progress, Region, StageTimes, StatusReply, Target, WallBoard, WallState,
+  WallSupply } from '../gen/messages.js';
 import type { Params } from '../gen/params.js';
 import type { FaultSymbol } from '../gen/symbols.js';
 
-export type { AssetKept, Device, Energy, FaultSymbol, Limits, Params, Progress, StageTimes, StatusReply, Target };
+export type { AssetKept, Controller, Device, Energy, FaultSymbol, Limits, Params, Progress, Region, StageTimes, StatusReply, Target, WallBoard,
+  WallState, WallSupply };
 
 export interface ReconnectOptions {
-  /** tries to open a connection, with growing pauses; default 10 */
+  /** for so long a daemon that has gone is waited for; default 15 000 */
+  forMs?: number;
+  /** tries to open a connection, with growing pauses; default 100 */
   attempts?: number;
-  /** the first pause; default 50 */
+  /** the first pause; default 20 */
   delayMs?: number;
-  /** the longest pause; default 2000 */
+  /** the longest pause; default 1000 */
   delayMsMax?: number;
   /** times that one request is asked again after a lost connection, so that a frame that ends the daemon does not do so for ever; default 3 */
   resubmits?: number;
@@ -24,9 +28,10 @@ export interface ReconnectOptions {
 export interface ConnectOptions {
   /** the socket; default: $AIRY_SOCKET, $XDG_RUNTIME_DIR/airyd.sock, /run/airyd/airyd.sock, the first that answers */
   path?: string;
-  /** for all of connecting, each time; default 5000 */
+  /** for all of connecting, each time, which may start a daemon; default 30 000 */
   timeoutMs?: number;
-  /** open a lost connection again, and ask again what was in flight; default false */
+  /** open a lost connection again, and ask again what was in flight and gives the same however often it is asked: all but frames that are
+      shown, and the opening, closing and testing of walls; false: all of it is rejected with DISCONNECTED; default true */
   reconnect?: boolean | ReconnectOptions;
   /** times that a request is sent again after BUSY, when the daemon says; default 20 */
   busyRetries?: number;
@@ -57,9 +62,21 @@ export interface PlanOptions {
   exr?: Partial<ExrOptions>;
   /** the input is pixels, not a file */
   raw?: RawLayout;
+  /** the name of an open wall: the frame becomes its picture, and the result is the wall's linear drive */
+  wall?: string;
+  /** with a wall, raw pixels that are a part of a frame: the whole frame's size, and where the part's first pixel is */
+  partOf?: { frameWidth: number; frameHeight: number; x: number; y: number };
 }
 
 export interface BloomOptions extends PlanOptions {
+  /** the frame goes on the wall, and nothing comes back; it is not asked again of another daemon, for its time will have gone */
+  show?: boolean;
+  /** with show: at the first tick from then on, of CLOCK_MONOTONIC (process.hrtime.bigint()); default 0: the next one */
+  presentNs?: bigint | number;
+  /** -10 to 10, orders what this user has waiting; default 0 */
+  priority?: number;
+  /** what has not had its turn by then is rejected with DEADLINE; default 0: none */
+  deadlineMs?: number;
   onProgress?: (progress: Progress) => void;
   /** takes the output's bytes as they come, in place of result.output; a full one holds the connection. It is not ended. After an error,
       what it has got is not to be used. */
@@ -90,6 +107,32 @@ export interface Result<O> {
   /** of them copied compressed, as they were */
   chunksCopied: number;
   exposure: number;
+  /** with a wall: of the frame, what its panels' light comes from */
+  need: Region | null;
+  /** of an EXR file: the attribute "airy" that the output has */
+  stamp: string;
+}
+
+/** A wall's linear drive: height rows of width pixels of R, G, B. */
+export interface Drive extends Result<Float32Array> {
+  width: number;
+  height: number;
+}
+
+export interface Walls {
+  walls: WallState[];
+  /** plugged in, of a kind that can be driven */
+  controllers: Controller[];
+  /** why there is no USB at all, or empty */
+  usb: string;
+}
+
+/** What was sent to a wall's boards last: rows of R, G, B bytes of sRGB; pixels without an LED are 0. */
+export interface Preview {
+  wall: WallState;
+  width: number;
+  height: number;
+  data: Buffer;
 }
 
 export interface StreamOptions<R extends boolean = false> extends Omit<BloomOptions, 'into'> {
@@ -117,6 +160,8 @@ export class Airy {
   readonly pending: number;
 
   bloom<I extends Input>(input: I, params: Params | undefined, options: BloomOptions & { into: Writable }): Promise<Result<null>>;
+  bloom<I extends Input>(input: I, params: Params | undefined, options: BloomOptions & { wall: string; show: true }): Promise<Result<null>>;
+  bloom<I extends Input>(input: I, params: Params | undefined, options: BloomOptions & { wall: string; show?: false }): Promise<Drive>;
   bloom<I extends Input>(input: I, params?: Params, options?: BloomOptions): Promise<Result<OutputOf<I>>>;
   /** What would run, its bound and its time; nothing is bloomed. */
   plan(input: Input, params?: Params, options?: PlanOptions): Promise<Result<null>>;
@@ -124,7 +169,19 @@ export class Airy {
   asset(input: Input, options?: { signal?: AbortSignal }): Promise<AssetKept>;
   /** Answered at any load. */
   status(options?: { signal?: AbortSignal }): Promise<StatusReply>;
+  /** With wall and show it is a Writable: nothing comes out. */
   stream<R extends boolean = false>(params?: Params, options?: StreamOptions<R>): BloomStream;
+  /** All walls that are open, or one. */
+  wallList(name?: string, options?: { signal?: AbortSignal }): Promise<Walls>;
+  /** The text of airy-wall(5); calibration: asset()'s digest, when it names an image. Without keep the wall goes when this connection does,
+      also when it is lost. */
+  wallOpen(definition: string, options?: { calibration?: string; keep?: boolean; signal?: AbortSignal }): Promise<WallState>;
+  /** Black, then away; whoever opened it. */
+  wallClose(name: string, options?: { signal?: AbortSignal }): Promise<void>;
+  /** order panels red green blue white ramp checker led black, instead of frames; "" ends it. level: linear, 0 to 1, 0: 0.25. */
+  wallPattern(name: string, pattern?: string,
+    options?: { board?: string; led?: number; level?: number; signal?: AbortSignal }): Promise<WallState>;
+  wallPreview(name: string, options?: { signal?: AbortSignal }): Promise<Preview>;
   /** What is in flight is rejected with DISCONNECTED. */
   close(): void;
 }

@@ -50,27 +50,46 @@ export function toParams(params = {}) {
 }
 
 /** What Connection.request takes, but for the caller's hooks. */
-export function toBloom(input, params, { exr, raw, progress, plan }) {
+export function toBloom(input, params, { exr, raw, progress, plan, wall, show, presentNs, partOf, priority, deadlineMs }) {
   const bytes = toBytes(input, 'input');
   if (exr && raw)
     throw argument('raw', 'exr and raw are both given, expected one of them');
   if (!raw && ARRAYS[input.constructor.name])
     throw argument('raw', `the input is a ${input.constructor.name}, expected raw: { width, height, channels } with it`);
+  if (!wall)
+    for (const [field, given] of Object.entries({ show, presentNs, partOf }))
+      if (given !== undefined && given !== false)
+        throw argument(field, `${field} is given without wall, expected the name of an open wall with it`);
+  if (wall !== undefined && (typeof wall !== 'string' || !wall))
+    throw argument('wall', `wall is ${wall === '' ? 'empty' : typeof wall}, expected the name of an open wall`);
   const format = raw ? { raw: rawLayout(input, raw) } : exr ? { exr } : {};
   return {
     type: 'BLOOM',
     input: bytes,
-    output: !plan,
-    ...(raw && !plan && { expectBytes: bytes.byteLength }),
+    output: !plan && !show,
+    once: Boolean(show), // its time will have gone
+    ...(raw && !plan && !wall && { expectBytes: bytes.byteLength }),
     body: {
       params: toParams(params),
       input: { kind: 'INLINE', size: bytes.byteLength },
       ...format,
-      output: { kind: 'INLINE' },
+      output: { kind: show ? 'WALL' : 'INLINE' },
       progress,
       planOnly: plan,
+      ...(wall && { wall: { name: wall, presentNs, ...partOf } }),
+      priority,
+      deadlineMs,
     },
   };
+}
+
+/** A wall's linear drive, R G B of each pixel, as it came: little-endian floats. */
+export function toDrive(bytes) {
+  const out = new Float32Array(bytes.byteLength / 4), own = Buffer.from(out.buffer);
+  own.set(bytes);
+  if (endianness() !== 'LE')
+    own.swap32();
+  return out;
 }
 
 /** The output as the caller's own kind of array. */

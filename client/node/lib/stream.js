@@ -27,6 +27,9 @@ export class BloomStream extends Duplex {
     this.#params = params;
     this.#window = highWaterMark;
     this.#options = { results, onError, bloom };
+    // Of frames that are shown nothing comes out, and nobody need look.
+    if (bloom.show && !results)
+      this.resume();
   }
 
   _write(frame, encoding, next) {
@@ -42,7 +45,7 @@ export class BloomStream extends Duplex {
   async #one(frame, index, entry) {
     try {
       const result = await this.#airy.bloom(frame, this.#params, { ...this.#options.bloom, signal: this.#stop.signal });
-      entry.value = this.#options.results ? result : result.output;
+      entry.value = this.#options.results ? result : result.output ?? undefined;
     } catch (error) {
       if (this.destroyed)
         return;

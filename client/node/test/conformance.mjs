@@ -61,6 +61,95 @@ async function blooms(airy, daemon, request, expect, payload, outputs, name) {
   }
 }
 
+// ---- walls --------------------------------------------------------------------------------------------------
+
+function states(found, wanted) {
+  assert.equal(found.length, wanted.length, JSON.stringify(found.map((w) => w.name)));
+  for (const [i, fields] of wanted.entries())
+    for (const [name, value] of Object.entries(fields)) {
+      if (name === 'boards')
+        states(found[i].boards, value);
+      else
+        assert.equal(typeof found[i][name] === 'bigint' ? Number(found[i][name]) : found[i][name], value, `${name} of ${found[i].name}`);
+    }
+}
+
+function previewed({ data, wall }, { pixels, first }) {
+  assert.equal(data.length, wall.width * wall.height * 3);
+  if (pixels)
+    assert.ok(data.every((v) => pixels.includes(v)), `the preview has ${[...new Set(data)].slice(0, 8)}`);
+  if (first)
+    assert.deepEqual([...data.subarray(0, 3)], first);
+}
+
+function driven(result, { drive, need }) {
+  if (need)
+    assert.deepEqual([result.need.x, result.need.y, result.need.width, result.need.height], need);
+  if (!drive)
+    return;
+  const { width, height, value, lit = [0, 0, width, height] } = drive;
+  assert.deepEqual([result.width, result.height, result.output.length], [width, height, width * height * 3]);
+  assert.ok(result.output instanceof Float32Array && result.output.every((v) => Number.isFinite(v) && v >= 0));
+  if (value !== undefined)
+    for (const [i, v] of result.output.entries()) {
+      const x = Math.floor(i / 3) % width, y = Math.floor(i / 3 / width);
+      const inside = x >= lit[0] && x < lit[0] + lit[2] && y >= lit[1] && y < lit[1] + lit[3];
+      assert.ok(Math.abs(v - (inside ? value : 0)) <= 1e-4, `sample ${i} is ${v}`);
+    }
+}
+
+async function patiently(check, patienceMs) {
+  for (const end = performance.now() + patienceMs; ;)
+    try {
+      return await check();
+    } catch (error) {
+      if (error.code !== 'ERR_ASSERTION' || performance.now() >= end)
+        throw error;
+      await new Promise((resolve) => setTimeout(resolve, 20));
+    }
+}
+
+function wallBloom(airy, what, payloads, show) {
+  const { wall, params, priority, deadline_ms: deadlineMs, plan_only: plan } = what, payload = payloads[what.input];
+  const part = wall?.part_of && Object.fromEntries(['frameWidth', 'frameHeight', 'x', 'y'].map((name, i) => [name, wall.part_of[i]]));
+  const options = { ...optionsOf(what, payload), wall: wall?.name, partOf: part, priority, deadlineMs, ...(show && { show, presentNs: wall.present_ns }) };
+  return plan ? airy.plan(payload.bytes, params, options) : airy.bloom(payload.bytes, params, options);
+}
+
+async function wallStep(airy, step, payloads) {
+  const { expect = {} } = step, verb = ['open', 'close', 'list', 'pattern', 'preview', 'bloom', 'show'].find((v) => v in step), what = step[verb];
+  const does = {
+    open: async () => [await airy.wallOpen(what.definition, what)],
+    close: () => airy.wallClose(what),
+    list: async () => (await airy.wallList(what)).walls,
+    pattern: async () => [await airy.wallPattern(what.name, what.pattern, what)],
+    preview: () => airy.wallPreview(what),
+    bloom: () => wallBloom(airy, what, payloads, false),
+    show: () => wallBloom(airy, what, payloads, true),
+  }[verb];
+  if (expect.error)
+    return rejects(does(), expect.error);
+  const holds = { preview: previewed, bloom: driven, show: driven, close: () => {} }[verb] ?? ((found) => states(found, expect.walls));
+  await patiently(async () => holds(await does(), expect), ['list', 'preview'].includes(verb) ? 30_000 : 0);
+}
+
+async function walls(daemon, steps, payloads) {
+  const clients = new Map();
+  try {
+    for (const step of steps) {
+      const name = step.leave ?? step.as ?? 'a';
+      if (!clients.has(name))
+        clients.set(name, await connect({ path: daemon.path }));
+      if (step.leave)
+        clients.get(name).close();
+      else if (!(step.bloom ?? step.show) || (step.bloom ?? step.show).via.includes('inline'))
+        await wallStep(clients.get(name), { ...step, ...(step.bloom && { bloom: { ...step.bloom, output: undefined } }) }, payloads);
+    }
+  } finally {
+    clients.forEach((airy) => airy.close());
+  }
+}
+
 // ---- bare sessions ---------------------------------------------------------------------------------------
 
 const fill = (value, payloads) => JSON.parse(JSON.stringify(value ?? null), (_, v) =>
@@ -148,6 +237,8 @@ export async function conformance() {
     const daemon = running[one.daemon], airy = clients[one.daemon], asked = one.request ?? one.asset;
     if (one.session && (one.needs === 'fd' || one.session.some((s) => s.send?.fds)))
       left['sessions with descriptors'].push(one.name);
+    else if (one.walls)
+      await check(`conformance: ${one.name}`, () => walls(daemon, one.walls, payloads));
     else if (one.session)
       await check(`conformance: ${one.name}`, () => session(daemon, one.session, payloads));
     else {

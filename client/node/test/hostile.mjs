@@ -17,7 +17,7 @@ async function answered(answer, wanted, ask = (airy) => airy.bloom(FRAME)) {
       if (m.type === 'DATA' || m.type === 'STATUS')
         await answer(peer, m.id);
   });
-  const airy = await connect({ path: daemon.path });
+  const airy = await connect({ path: daemon.path, reconnect: false });
   try {
     const asked = ask(airy);
     return wanted ? await rejects(asked, wanted) : await asked;
@@ -64,6 +64,11 @@ async function refused() {
     'silence and the end': [(p) => p.socket.end(), { symbol: 'DISCONNECTED', retryable: true }],
     'an ERROR of the connection': [(p) => { p.send('ERROR', 0n, { code: 502, symbol: 'SHUTTING_DOWN', text: 'stopping', retryable: true }); p.socket.end(); },
       { symbol: 'SHUTTING_DOWN', code: 502, origin: 'daemon', retryable: true, text: 'stopping' }],
+    // What no client can cause from outside: a fault in the daemon, a lost device.
+    'a fault in the daemon': [(p, id) => p.send('ERROR', id, { code: 500, symbol: 'INTERNAL', text: 'it is so' }),
+      { symbol: 'INTERNAL', code: 500, origin: 'daemon', retryable: false }],
+    'a lost device': [(p, id) => p.send('ERROR', id, { code: 501, symbol: 'DEVICE_LOST', text: 'it is so', retryable: true }),
+      { symbol: 'DEVICE_LOST', code: 501, origin: 'daemon', retryable: true }],
     'an error of the future': [(p, id) => p.send('ERROR', id, { code: 999, symbol: 'TIRED', text: 'so tired', field: 'x' }),
       { symbol: 'TIRED', code: 999, field: 'x', retryable: false }],
   };
@@ -99,7 +104,7 @@ async function greetings() {
   for (const [name, [answer, wanted]] of Object.entries(cases))
     await check(`HELLO answered by ${name}`, async () => {
       const daemon = await falseDaemon(answer, { greet: false });
-      await rejects(connect({ path: daemon.path, timeoutMs: name === 'nothing' ? 200 : 20_000 }), wanted);
+      await rejects(connect({ path: daemon.path, reconnect: false, timeoutMs: name === 'nothing' ? 200 : 20_000 }), wanted);
       daemon.close();
     });
 }
@@ -139,7 +144,7 @@ async function behaviour() {
           peer.send('STATUS_REPLY', m.id, {});
       }
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await assert.rejects(airy.bloom(FRAME, {}, { onProgress: () => { throw why; } }), why);
     await airy.status();
     assert.equal(airy.pending, 0);
@@ -161,7 +166,7 @@ async function behaviour() {
               peer.send('RESULT', m.id, { output: { kind: 'INLINE' } });
           }
       });
-      const airy = await connect({ path: daemon.path, busyRetries: retries });
+      const airy = await connect({ path: daemon.path, reconnect: false, busyRetries: retries });
       if (refusals > retries)
         await rejects(airy.bloom(FRAME), { symbol: 'BUSY', code: 400, retryable: true, retryAfterMs: 1 });
       else
@@ -196,7 +201,7 @@ async function behaviour() {
           }, 2);
       }
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await Promise.all(Array.from({ length: 40 }, (_, i) => airy.bloom(Buffer.alloc((i % 4 + 1) * 200_000))));
     assert.ok(most > 1 && most <= LIMITS.maxRequests, `${most} were open`);
     assert.ok(mostBytes > 400_000 && mostBytes <= LIMITS.creditBytes, `${mostBytes} bytes were out`);
@@ -216,7 +221,7 @@ async function behaviour() {
         if (m.type === 'STATUS')
           peer.send('STATUS_REPLY', m.id, { done: 5 });
     });
-    const airy = await connect({ path: daemon.path });
+    const airy = await connect({ path: daemon.path, reconnect: false });
     await rejects(airy.bloom(big), { symbol: 'PARAM_UNKNOWN', field: 'params.x' });
     assert.equal((await airy.status()).done, 5n);
     airy.close();

@@ -4,13 +4,13 @@
 import assert from 'node:assert/strict';
 import { spawn } from 'node:child_process';
 import { createHash } from 'node:crypto';
-import { readFileSync, writeFileSync } from 'node:fs';
+import { mkdirSync, readdirSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { Readable, Writable } from 'node:stream';
 import { pipeline } from 'node:stream/promises';
 import { fileURLToPath } from 'node:url';
 import { connect } from '../lib/index.js';
-import { check, commandBytes, halfToNumber, Peer, rejects, run, scene, socketPath, sparks, startDaemon, stopDaemon, until, work } from './kit.mjs';
+import { check, commandBytes, falseDaemon, halfToNumber, Peer, rejects, run, scene, socketPath, sparks, startDaemon, stopDaemon, until, work } from './kit.mjs';
 
 const PSF = 'gaussians:sigma=2/8,weight=0.2/0.1';
 const FAST = { psf: PSF };
@@ -216,7 +216,7 @@ async function inFlight(daemon) {
 async function lost() {
   const { bytes } = await scene(192, 108);
   await check('a daemon that is killed: without reconnect each request hears of it', async () => {
-    const daemon = await startDaemon(OPTIONS), airy = await connect({ path: daemon.path });
+    const daemon = await startDaemon(OPTIONS), airy = await connect({ path: daemon.path, reconnect: false });
     const all = frames(8).map(({ params }) => airy.bloom(bytes, params).then(() => 'done', (e) => e));
     daemon.child.kill('SIGKILL');
     const ends = (await Promise.all(all)).filter((e) => e !== 'done');
@@ -227,9 +227,9 @@ async function lost() {
     airy.close();
   });
   for (const signal of ['SIGKILL', 'SIGTERM'])
-    await check(`a daemon that ends by ${signal} and comes back: with reconnect every frame is right`, async () => {
+    await check(`a daemon that ends by ${signal} and comes back: every frame is right`, async () => {
       let daemon = await startDaemon(OPTIONS);
-      const airy = await connect({ path: daemon.path, reconnect: { attempts: 100, delayMsMax: 100 } });
+      const airy = await connect({ path: daemon.path, reconnect: { forMs: 60_000, delayMsMax: 100 } });
       const wanted = [];
       for (const { params } of frames(8))
         wanted.push(digest((await airy.bloom(bytes, params)).output));
@@ -243,6 +243,57 @@ async function lost() {
       airy.close();
       await stopDaemon(daemon);
     });
+  await check('a shown frame and a wall go with their daemon; the drive of it is asked again', async () => {
+    let daemon = await startDaemon(OPTIONS);
+    const airy = await connect({ path: daemon.path, reconnect: { forMs: 120_000 } });
+    const definition = 'wall: sign\npanels:\n- {name: p, size: [8, 4]}\n', options = { raw: { width: 64, height: 32 }, wall: 'sign' };
+    const frame = new Float32Array(64 * 32 * 3).fill(0.5);
+    await airy.wallOpen(definition);
+    assert.ok((await airy.bloom(frame, {}, options)).output.every((v) => Math.abs(v - 0.5) < 1e-4));
+    daemon.child.kill('SIGSTOP'); // so that none ends before the kill
+    const ends = ['shown', 'drive', 'open'].map((what) => (what === 'open' ? airy.wallOpen(definition)
+      : airy.bloom(frame, {}, { ...options, show: what === 'shown' })).then(() => 'done', (e) => e.symbol));
+    await new Promise((resolve) => setTimeout(resolve, 50));
+    await stopDaemon(daemon, 'SIGKILL');
+    daemon = await startDaemon(OPTIONS, daemon.path);
+    assert.deepEqual(await Promise.all(ends), ['DISCONNECTED', 'NO_WALL', 'DISCONNECTED']);
+    assert.equal((await airy.wallOpen(definition)).name, 'sign');
+    airy.close();
+    await stopDaemon(daemon);
+  });
+  await check('a frame that ends its daemon is sent four times, one that is shown once', async () => {
+    let sent = 0;
+    const false_ = await falseDaemon(async (peer) => {
+      for (let m; (m = await peer.next());)
+        if (m.type === 'BLOOM') {
+          sent++;
+          peer.socket.destroy();
+          return;
+        }
+    }, { features: ['wall'] });
+    const airy = await connect({ path: false_.path });
+    await rejects(airy.bloom(bytes), { symbol: 'DISCONNECTED', retryable: true });
+    assert.equal(sent, 4);
+    await rejects(airy.bloom(bytes, {}, { wall: 'w', show: true }), { symbol: 'DISCONNECTED', retryable: true });
+    assert.equal(sent, 5);
+    airy.close();
+    false_.close();
+  });
+  await check('no memory in the daemon is NO_MEMORY, and retryable; a turn that comes too late is DEADLINE', async () => {
+    const daemon = await startDaemon(OPTIONS), airy = await connect({ path: daemon.path });
+    const big = sparks({ width: 3840, height: 2160, type: 'PIXEL_HALF', channels: ['R', 'G', 'B'] }), raw = { width: 3840, height: 2160 };
+    await airy.status();
+    const size = Number(readFileSync(`/proc/${daemon.child.pid}/status`, 'utf8').match(/VmSize:\s+(\d+)/)[1]) * 1024;
+    const limit = (bytes_) => run('prlimit', ['--pid', String(daemon.child.pid), `--as=${bytes_}:`]);
+    await limit(size + (8 << 20));
+    await rejects(airy.bloom(big, FAST, { raw }), { symbol: 'NO_MEMORY', code: 402, field: 'input.size', retryable: true, origin: 'daemon' });
+    await limit('unlimited');
+    const all = [1, 2, 3, 4].map(() => airy.bloom(big, FAST, { raw, priority: -5 }));
+    await rejects(airy.bloom(bytes, FAST, { deadlineMs: 1, priority: -10 }), { symbol: 'DEADLINE', code: 404, field: 'deadline_ms', retryable: true });
+    await Promise.all(all);
+    airy.close();
+    await stopDaemon(daemon);
+  });
   await check('a request that waits for a daemon to come back ends with its signal', async () => {
     const daemon = await startDaemon(OPTIONS), stop = new AbortController();
     const airy = await connect({ path: daemon.path, reconnect: { attempts: 3, delayMs: 300 } });
@@ -346,6 +397,32 @@ async function examples(daemon) {
     const failed = await run(process.execPath, [example('bloom-frame.mjs'), damaged, `${output}.not`], { env }).then(() => null, (e) => e);
     assert.equal(failed.code, 1);
     assert.match(failed.stderr, /^bloom-frame: EXR_DAMAGED: /);
+  });
+  await check('the example for a folder blooms what is not there yet, and a bad frame costs one', async () => {
+    const from = join(work, 'from'), to = join(work, 'to');
+    mkdirSync(from);
+    mkdirSync(to);
+    for (const name of ['a.exr', 'b.exr'])
+      writeFileSync(join(from, name), bytes);
+    writeFileSync(join(from, 'bad.exr'), bytes.subarray(0, 3000));
+    const start = () => run(process.execPath, [example('batch-folder.mjs'), from, to, `psf=${PSF}`], { env }).then((r) => ({ code: 0, ...r }), (e) => e);
+    const first = await start(), wanted = await commandBytes(daemon, file, ['--psf', PSF]);
+    assert.equal(first.code, 1);
+    assert.match(first.stderr, /bad\.exr: EXR_DAMAGED[^]*2 of 3 frames bloomed/);
+    rmSync(join(from, 'bad.exr'));
+    rmSync(join(to, 'b.exr'));
+    const second = await start();
+    assert.equal(second.code, 0);
+    assert.match(second.stderr, /1 of 1 frames bloomed/);
+    assert.deepEqual(readdirSync(to).sort(), ['a.exr', 'b.exr']);
+    for (const name of ['a.exr', 'b.exr'])
+      assert.ok(readFileSync(join(to, name)).equals(wanted));
+  });
+  await check('the example for a wall feeds it', async () => {
+    const definition = join(work, 'feed.yaml');
+    writeFileSync(definition, 'wall: feed\npanels:\n- {name: p, size: [16, 9]}\nboards:\n- {serial: NOT-THERE, panels: p}\n');
+    const { stdout } = await run(process.execPath, [example('wall-feed.mjs'), definition, '1'], { env });
+    assert.match(stdout, /^feed: 144 LEDs, 60 frames\/s\n[1-9]\d* frames, [1-9]\d* shown, /);
   });
   await check('the example for HTTP blooms what is posted, and answers mistakes', async () => {
     const child = spawn(process.execPath, [example('bloom-http.mjs'), '0'], { env, stdio: ['ignore', 'pipe', 'inherit'] });

@@ -16,6 +16,16 @@ export async function accepted(into: Writable): Promise<void> {
   const digest: string = (await airy.asset(new ArrayBuffer(4))).digest;
   const nan: bigint | undefined = exr.targets[0]?.nonfinite?.nan;
   airy.stream(params, { highWaterMark: 2, onError: (error, index) => console.log(error.symbol, index) }).pipe(into);
+  const wall: string = (await airy.wallOpen('wall: a\npanels:\n- {size: [8, 8]}\n', { keep: true })).name;
+  const drive = await airy.bloom(new Float32Array(12), {}, { raw: { width: 2, height: 2 }, wall, priority: 5, deadlineMs: 100 });
+  const light: number = drive.output[3 * drive.width * (drive.height - 1)]!;
+  const shown: null = (await airy.bloom(Buffer.alloc(1), {}, { wall, show: true, presentNs: process.hrtime.bigint() })).output;
+  const ready: boolean = (await airy.wallList(wall)).walls[0]!.boards.every((b) => b.state === 'ready');
+  const red: number = (await airy.wallPreview(wall)).data[0]!;
+  await airy.wallPattern(wall, 'led', { board: 'b', led: 3, level: 0.5 });
+  await airy.wallClose(wall);
+  airy.stream({}, { wall, show: true }).end();
+  console.log(light, shown, ready, red, drive.need?.width, drive.stamp);
   console.log(first, halves, nothing, bound, done, digest, nan, exr.ms?.total);
   try {
     airy.close();
@@ -34,6 +44,8 @@ export async function refused(airy: Airy): Promise<void> {
   await airy.bloom(Buffer.alloc(1), { look: 'nice' });
   // @ts-expect-error a path is no frame
   await airy.bloom('frame.exr');
+  // @ts-expect-error a wall has a name
+  await airy.bloom(Buffer.alloc(1), {}, { wall: 7 });
   // @ts-expect-error counters are bigint
   const done: number = (await airy.status()).done;
   // @ts-expect-error made by connect() only

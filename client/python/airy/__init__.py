@@ -8,8 +8,10 @@
 from . import aio, errors
 from .client import Client, Pending
 from .errors import AiryError, Cancelled, ConnectionLost, DaemonError, InvalidRequest, NoDaemon
+from ._request import Part
 from .payload import Raw, RawChannel
-from .result import Asset, Device, Energy, Limits, NonFinite, Result, Status, Target, Times, Welcome
+from .result import Asset, Device, Energy, Limits, NonFinite, Region, Result, Status, Target, Times, Welcome
+from .walls import Controller, Percentiles, Preview, WallBoard, Walls, WallState, WallSupply
 
 __version__ = "0.1.0"
 __all__ = [
@@ -18,6 +20,7 @@ __all__ = [
     "Cancelled",
     "Client",
     "ConnectionLost",
+    "Controller",
     "DaemonError",
     "Device",
     "Energy",
@@ -25,13 +28,21 @@ __all__ = [
     "Limits",
     "NoDaemon",
     "NonFinite",
+    "Part",
     "Pending",
+    "Percentiles",
+    "Preview",
     "Raw",
     "RawChannel",
+    "Region",
     "Result",
     "Status",
     "Target",
     "Times",
+    "WallBoard",
+    "WallState",
+    "WallSupply",
+    "Walls",
     "Welcome",
     "aio",
     "errors",

@@ -1,61 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One connection's side of the conversation, without a socket: bytes and descriptors in, bytes and descriptors out.
+"""One client's side of the conversation, without a socket: bytes and descriptors in, bytes and descriptors out.
 
 The blocking and the asyncio client drive this same code, so that there is one place where credits are counted, requests wait,
 BUSY is tried again, and what the daemon sends is checked. What comes is taken as hostile: a message that may not come
 loses the connection, with words, and every descriptor that came is closed.
+
+A stream of bytes may end (drop) and another begin (begin): what may be asked again then waits for the next WELCOME, at most
+RESENDS times each, and for at most `again_s` seconds without an answer; all else ends. lose() is the end of it all.
 """
 from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Any, Callable, NamedTuple, Optional
+from typing import Any, Callable, NamedTuple, Optional, Union
 
-from . import _transport, _wire, errors, payload, result
+from . import _transport, _wire, errors, result
 from . import airy_pb2 as pb
+from ._task import ProgressCallback, Question, Request
 from ._wire import Type
 
 BUSY_TRIES = 8
 BUSY_WAIT_S = (0.01, 5.0)  # whatever retry_after_ms says
+# A wall that is being closed is gone in a second.
+QUESTION_BUSY_TRIES = 40
+QUESTION_WAIT_S = (0.01, 0.5)
+QUESTIONS_MAX = 1024  # not answered, those included that nobody waits for any more
+RESENDS = 3  # of one request, lest a frame that ends the daemon does so for ever
 
-ProgressCallback = Callable[[str, float], None]
-
-
-def _nothing(_: Any) -> None:
-    pass
-
-
-class Request:
-    """From submit to its one end; `on_end` is then called, from within whatever drives the engine."""
-
-    def __init__(
-        self,
-        kind: Type,
-        body: Any,
-        prepared: payload.Prepared,
-        plan_only: bool = False,
-        progress: Optional[ProgressCallback] = None,
-    ) -> None:
-        self.kind = kind
-        self.body = body
-        self.prepared = prepared
-        self.plan_only = plan_only
-        self.progress = progress
-        self.id = 0
-        self.tries = 0
-        self.not_before = 0.0
-        self.sent = False  # at least once
-        self.cancelled = False
-        self.received = bytearray()
-        self.ended = False
-        self.value: Any = None
-        self.error: Optional[BaseException] = None
-        self.on_sent: Callable[[Request], None] = _nothing
-        self.on_end: Callable[[Request], None] = _nothing
-
-    @property
-    def size(self) -> int:
-        return self.prepared.size
+__all__ = ["Engine", "Piece", "ProgressCallback", "Question", "Request"]
 
 
 class Piece(NamedTuple):
@@ -81,15 +53,25 @@ class _Upload:
 
 
 class Engine:
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic, again_s: float = 0.0) -> None:
         self.clock = clock
-        self.welcome: Optional[result.Welcome] = None
+        self.again_s = again_s
+        self.welcome: Optional[result.Welcome] = None  # the last one
+        self.ready = False  # greeted on this stream
+        self.down: Optional[errors.AiryError] = None  # why there is no stream
         self.lost: Optional[errors.AiryError] = None
         self.credit = 0
         self._next_id = 1
         self._open: dict[int, Request] = {}
         self._waiting: deque[Request] = deque()
-        self._asked: dict[int, tuple[Type, Callable[[Any], None]]] = {}
+        self._asked: dict[int, Question] = {}
+        self._asking: deque[Question] = deque()
+        self._give_up_at: Optional[float] = None
+        self._begin()
+
+    def _begin(self) -> None:
+        self.ready = False
+        self._draining: Optional[errors.AiryError] = None
         # out
         self._control: deque[tuple[bytes, tuple[int, ...]]] = deque()
         self._uploads: deque[_Upload] = deque()
@@ -105,6 +87,83 @@ class Engine:
         hello = pb.Hello(version_min=_wire.VERSION, version_max=_wire.VERSION, client="airy-python/0.1.0")
         self._control.append((_wire.pack(Type.HELLO, 0, hello), ()))
 
+    # ---- the stream's life ---------------------------------------------------------------------
+
+    @property
+    def wanted(self) -> bool:
+        """Does something wait for a stream?"""
+        return bool(self._waiting or self._asking)
+
+    def begin(self) -> None:
+        """There is a new stream, and nothing on it yet."""
+        assert self.lost is None
+        self.down = None
+        self._begin()
+
+    def drop(self, why: errors.AiryError) -> None:
+        """The stream is gone. What may be asked again waits for the next; all else ends so."""
+        if self.lost is not None:
+            return
+        if self.welcome is None or not self.again_s:
+            self.lose(why)
+            return
+        self.down = why
+        self._forget_stream()
+        requests, self._open = [self._open[id] for id in sorted(self._open)], {}
+        questions, self._asked = list(self._asked.values()), {}
+        again = [r for r in requests if r.idempotent and not r.cancelled and r.resent < RESENDS]
+        asked_again = [q for q in questions if not q.ended and q.idempotent and q.resent < RESENDS]
+        for r in again:
+            r.resent += 1
+        for q in asked_again:
+            q.resent += 1
+        self._waiting.extendleft(reversed(again))
+        self._asking.extendleft(reversed(asked_again))
+        if self.wanted:
+            self._give_up_at = self._give_up_at or self.clock() + self.again_s
+        for r in requests:
+            if r not in again:
+                self._end(r, errors.Cancelled("the request was cancelled") if r.cancelled else why)
+        for q in questions:
+            if not q.ended and q not in asked_again:
+                q.end(why)
+
+    def refused(self, why: errors.AiryError) -> None:
+        """No new stream could be had: the reason, for when the time is up."""
+        self.down = why
+
+    def lose(self, why: errors.AiryError) -> None:
+        """It is over: every request ends so, every descriptor is closed."""
+        if self.lost is not None:
+            return
+        self.lost = why
+        self.ready = False
+        self._forget_stream()
+        requests = [*self._open.values(), *self._waiting]
+        questions = [*self._asked.values(), *self._asking]
+        self._open, self._asked = {}, {}
+        self._waiting.clear()
+        self._asking.clear()
+        for request in requests:
+            self._end(request, why)
+        for question in questions:
+            if not question.ended:
+                question.end(why)
+
+    def _forget_stream(self) -> None:
+        self.ready = False
+        self._head = None
+        self._control.clear()
+        self._uploads.clear()
+        while self._sets:
+            _transport.close_all(self._sets.popleft().fds)
+        _transport.close_all(self._fds)
+        self._fds = []
+
+    def _await_stream(self) -> None:
+        if self.down is not None and self._give_up_at is None:
+            self._give_up_at = self.clock() + self.again_s
+
     # ---- requests ------------------------------------------------------------------------------
 
     def submit(self, request: Request) -> None:
@@ -112,18 +171,21 @@ class Engine:
         try:
             if self.lost is not None:
                 raise self.lost
-            limits = self._limits()
-            if request.size > limits.max_frame_bytes:
-                raise errors.LimitError(
-                    f"the payload is {request.size} bytes; at most {limits.max_frame_bytes} are taken",
-                    field="input.size",
-                )
+            self._check_size(request)
             _wire.pack(request.kind, 1, request.body)
         except BaseException:
             request.prepared.close()
             raise
         self._waiting.append(request)
+        self._await_stream()
         self.tick()
+
+    def _check_size(self, request: Request) -> None:
+        most = self._limits().max_frame_bytes
+        if request.size > most:
+            raise errors.LimitError(
+                f"the payload is {request.size} bytes; at most {most} are taken", field="input.size"
+            )
 
     def cancel(self, request: Request) -> None:
         """Asks for an early end; no harm when it has ended."""
@@ -137,25 +199,44 @@ class Engine:
         self._drop_upload(request)
         self._control.append((_wire.pack(Type.CANCEL, request.id), ()))
 
-    def ask(self, kind: Type, body: Any, answer: Type, then: Callable[[Any], None]) -> int:
-        """A question with one answer: STATUS, WALL. Returns its id, to forget()."""
+    def ask(self, question: Question) -> None:
+        """One answer for one question, beside whatever is in flight."""
         if self.lost is not None:
             raise self.lost
-        message = _wire.pack(kind, self._next_id, body)
-        id = self._new_id()
-        self._asked[id] = (answer, then)
-        self._control.append((message, ()))
-        return id
+        if len(self._asked) + len(self._asking) >= QUESTIONS_MAX:
+            raise errors.InvalidRequest(f"{QUESTIONS_MAX} earlier questions are not answered yet", field="id")
+        _wire.pack(question.kind, 1, question.body)
+        self._asking.append(question)
+        self._await_stream()
+        self.tick()
 
-    def forget(self, id: int) -> None:
-        self._asked.pop(id, None)
+    def forget(self, question: Question) -> None:
+        """Nobody waits for it any more; its answer may still come."""
+        question.end(None)
+        if question in self._asking:
+            self._asking.remove(question)
 
     def tick(self) -> None:
         """Sends what may go now: called after whatever may have made room, and at next_wake()."""
-        if self.welcome is None or self.lost is not None:
+        if self.lost is not None:
             return
-        limits = self._limits()
         now = self.clock()
+        if not self.wanted:
+            self._give_up_at = None
+        if self.down is not None and self._give_up_at is not None and now >= self._give_up_at:
+            self.lose(self.down)
+            return
+        if self._draining is not None:
+            # It does nothing more for anybody: the next one will.
+            if not self._open and not self._asked:
+                self.drop(self._draining)
+            return
+        if not self.ready:
+            return
+        for question in [q for q in self._asking if q.not_before <= now]:
+            self._asking.remove(question)
+            self._put(question)
+        limits = self._limits()
         for request in list(self._waiting):
             if request.not_before > now:
                 continue
@@ -166,29 +247,12 @@ class Engine:
             self._send(request)
 
     def next_wake(self) -> Optional[float]:
-        """When a request that was BUSY is due again, by the clock."""
-        times = [r.not_before for r in self._waiting if r.not_before]
+        """When what was BUSY is due again, or the waiting for a daemon is over, by the clock."""
+        tasks: list[Union[Request, Question]] = [*self._waiting, *self._asking]
+        times = [t.not_before for t in tasks if t.not_before] if self.ready else []
+        if self.down is not None and self._give_up_at is not None:
+            times.append(self._give_up_at)
         return min(times, default=None)
-
-    def lose(self, why: errors.AiryError) -> None:
-        """The connection is gone: every request ends so, every descriptor is closed."""
-        if self.lost is not None:
-            return
-        self.lost = why
-        self._head = None
-        self._control.clear()
-        self._uploads.clear()
-        while self._sets:
-            _transport.close_all(self._sets.popleft().fds)
-        _transport.close_all(self._fds)
-        self._fds = []
-        for request in [*self._open.values(), *self._waiting]:
-            self._end(request, why)
-        self._open.clear()
-        self._waiting.clear()
-        asked, self._asked = self._asked, {}
-        for _, then in asked.values():
-            then(None)
 
     def _limits(self) -> result.Limits:
         assert self.welcome is not None
@@ -199,7 +263,16 @@ class Engine:
         self._next_id += 1
         return id
 
+    def _put(self, question: Question) -> None:
+        question.id = self._new_id()
+        question.tries += 1
+        question.received = bytearray()
+        self._asked[question.id] = question
+        self._control.append((_wire.pack(question.kind, question.id, question.body), ()))
+
     def _send(self, request: Request) -> None:
+        if request.kind == Type.BLOOM and request.body.HasField("wall"):
+            self._ask_drive_shape(request)
         request.id = self._new_id()
         request.tries += 1
         request.received = bytearray()
@@ -212,6 +285,19 @@ class Engine:
         request.sent = True
         request.on_sent(request)
 
+    def _ask_drive_shape(self, request: Request) -> None:
+        # A drive is as large as its wall, which its RESULT does not say; the answer comes before that.
+        if request.plan_only or request.body.output.kind == pb.Output.WALL:
+            return
+        prepared = request.prepared
+
+        def take(m: Any, _: bytes) -> None:
+            for wall in m.walls:
+                prepared.shape = result.Shape((wall.height, wall.width, 3), "<f4")
+
+        body = pb.Wall(action=pb.Wall.LIST, name=request.body.wall.name)
+        self._put(Question(Type.WALL, body, Type.WALL_REPLY, take, idempotent=False))
+
     def _drop_upload(self, request: Request) -> None:
         # At a message's end: what of a DATA has begun goes on.
         for upload in self._uploads:
@@ -222,15 +308,7 @@ class Engine:
     def _end(self, request: Request, error: Optional[BaseException], value: Any = None) -> None:
         self._open.pop(request.id, None)
         self._drop_upload(request)
-        request.prepared.close()
-        request.ended = True
-        if request.error is None:
-            request.error = error
-        request.value = value
-        on_end = request.on_end
-        # No cycle may keep a mapped frame alive until somebody collects garbage.
-        request.on_sent = request.on_end = _nothing
-        on_end(request)
+        request.end(error, value)
 
     # ---- out -----------------------------------------------------------------------------------
 
@@ -265,7 +343,7 @@ class Engine:
 
     def incoming(self, data: memoryview, fds: list[int], truncated: bool = False) -> None:
         """Bytes as they came from one receive, and the descriptors that came with them."""
-        if self.lost is not None:
+        if self.lost is not None or self.down is not None:
             _transport.close_all(fds)
             return
         first, self._received = self._received, self._received + len(data)
@@ -300,7 +378,7 @@ class Engine:
             header = self._header
             if header.type == Type.DATA:
                 n = min(self._data_left, len(data))
-                self._open[header.id].received += data[:n]
+                self._take_data(header.id, data[:n])
                 self._data_left -= n
                 done = not self._data_left
             else:
@@ -325,7 +403,7 @@ class Engine:
                     self._dispatch(header, body, fds)
                 finally:
                     _transport.close_all(fds)
-            if self.lost is not None:
+            if self.lost is not None or self.down is not None:
                 return
 
     def _claim(self, header: _wire.Header, at: int) -> list[int]:
@@ -360,17 +438,28 @@ class Engine:
                 )
 
     def _check_data(self, header: _wire.Header) -> None:
-        request = self._open.get(header.id)
-        if self.welcome is None or request is None or request.kind != Type.BLOOM or request.plan_only:
+        request, question = self._open.get(header.id), self._asked.get(header.id)
+        task: Union[Request, Question]
+        if question is not None and question.data_max:
+            task, most = question, question.data_max
+        elif not self.ready or request is None or request.kind != Type.BLOOM or request.plan_only:
             raise self._may_not(header)
-        if request.body.output.kind != pb.Output.INLINE:
+        elif request.body.output.kind != pb.Output.INLINE:
             raise errors.PeerFault(f"DATA came for request {header.id}, whose output is not inline", field="output")
-        most = self._limits().max_frame_bytes
-        if len(request.received) + header.body_bytes > most:
+        else:
+            task, most = request, self._limits().max_frame_bytes
+        if len(task.received) + header.body_bytes > most:
             raise errors.PeerFault(f"more DATA came for request {header.id} than {most} bytes", field="output.size")
 
+    def _take_data(self, id: int, data: memoryview) -> None:
+        question = self._asked.get(id)
+        if question is None:
+            self._open[id].received += data
+        else:
+            question.received += data
+
     def _may_not(self, header: _wire.Header) -> errors.PeerFault:
-        when = "before WELCOME" if self.welcome is None else "now"
+        when = "now" if self.ready else "before WELCOME"
         return errors.PeerFault(f"the daemon sent {header.type.name} for id {header.id}, which may not come {when}")
 
     def _dispatch(self, header: _wire.Header, body: bytes, fds: list[int]) -> None:
@@ -379,34 +468,32 @@ class Engine:
         if header.type == Type.ERROR:
             self._on_error(header, m)
             return
-        if (self.welcome is None) != (header.type == Type.WELCOME):
+        if self.ready == (header.type == Type.WELCOME):
             raise self._may_not(header)
         if header.type == Type.WELCOME:
             if m.version != _wire.VERSION:
                 raise errors.PeerFault(
                     f"the daemon chose protocol version {m.version}, asked was {_wire.VERSION}", field="version"
                 )
-            self.welcome = result.welcome(m)
-            self.credit = self.welcome.limits.credit_bytes
+            self._on_welcome(result.welcome(m))
             return
         if header.type == Type.CREDIT:
             self.credit = min(self.credit + m.bytes, self._limits().credit_bytes)
             return
         if header.type in (Type.STATUS_REPLY, Type.WALL_REPLY):
-            answer, then = self._asked.get(header.id, (header.type, lambda _: None))
-            if answer != header.type:
-                raise self._may_not(header)
-            self.forget(header.id)
-            then(m)
+            self._on_answer(header, m)
             return
         request = self._open.get(header.id)
         if header.type == Type.PROGRESS:
-            if request is not None and request.progress is not None:
+            # Of a frame that is done again the second way through is not told twice.
+            if request is not None and request.progress is not None and m.fraction >= request.fraction:
+                request.fraction = m.fraction
                 self._call_progress(request, m.stage, m.fraction)
             return
         end = {Type.BLOOM: Type.RESULT, Type.ASSET: Type.ASSET_KEPT}
         if request is None or header.type not in (Type.CANCELLED, end[request.kind]):
             raise self._may_not(header)
+        self._give_up_at = None
         if header.type == Type.CANCELLED:
             self._end(request, errors.Cancelled("the request was cancelled"))
         elif header.type == Type.RESULT:
@@ -423,36 +510,89 @@ class Engine:
             request.progress = None
             self.cancel(request)
 
+    def _on_welcome(self, welcome: result.Welcome) -> None:
+        self.welcome = welcome
+        self.ready = True
+        self.credit = welcome.limits.credit_bytes
+        # Another daemon may take less, and what can never be sent would hold up all behind it.
+        for request in [r for r in self._waiting if r.size > welcome.limits.max_frame_bytes]:
+            self._waiting.remove(request)
+            try:
+                self._check_size(request)
+            except errors.LimitError as e:
+                self._end(request, e)
+
+    def _on_answer(self, header: _wire.Header, m: Any) -> None:
+        question = self._asked.get(header.id)
+        if question is None or question.answer != header.type:
+            raise self._may_not(header)
+        self._give_up_at = None
+        del self._asked[header.id]
+        if question.ended:
+            return
+        try:
+            question.end(None, question.make(m, bytes(question.received)))
+        except errors.PeerFault as e:
+            question.end(e)
+
     def _on_error(self, header: _wire.Header, m: Any) -> None:
         error = errors.from_daemon(
             m.code, m.symbol, m.text, m.field, m.retryable, m.retry_after_ms, m.queue_position
         )
         request = self._open.get(header.id) if header.id else None
-        asked = self._asked.pop(header.id, None)
-        if header.id and request is None and asked is None:
+        question = self._asked.pop(header.id, None)
+        if header.id and request is None and question is None:
             raise errors.PeerFault(f"the daemon sent ERROR {m.symbol} for request {header.id}, which is not open")
-        if asked is not None:
-            asked[1](error)
+        last = not header.id or errors.closes(m.code)
+        if last and error.retryable:
+            self.drop(error)  # the daemon's last word on this connection
+            return
+        if question is not None:
+            self._question_failed(question, error)
         elif request is not None:
             self._request_failed(request, error)
-        if not header.id or errors.closes(m.code):
-            self.lose(error)  # the daemon's last word
+        if last:
+            self.lose(error)
+
+    def _stopping(self, error: errors.DaemonError) -> bool:
+        """Is it a stopping daemon's refusal, and another one worth waiting for?"""
+        if not isinstance(error, errors.ShuttingDown) or not self.again_s:
+            self._give_up_at = None
+            return False
+        self._draining = error
+        self._give_up_at = self._give_up_at or self.clock() + self.again_s
+        return self.clock() < self._give_up_at
+
+    def _question_failed(self, question: Question, error: errors.DaemonError) -> None:
+        if question.ended:
+            return
+        if self._stopping(error):
+            self._asking.append(question)
+        elif isinstance(error, errors.Busy) and question.tries < QUESTION_BUSY_TRIES:
+            question.not_before = self.clock() + _between(error.retry_after_ms / 1000, QUESTION_WAIT_S)
+            self._asking.append(question)
+        else:
+            question.end(error)
 
     def _request_failed(self, request: Request, error: errors.DaemonError) -> None:
-        again = isinstance(error, errors.Busy) and not request.cancelled and request.tries < BUSY_TRIES
-        if not again:
+        stopping = self._stopping(error)
+        busy = isinstance(error, errors.Busy) and request.tries < BUSY_TRIES
+        if request.cancelled or not (stopping or busy):
             self._end(request, error)
             return
-        low, high = BUSY_WAIT_S
         del self._open[request.id]
         self._drop_upload(request)
-        request.not_before = self.clock() + min(max(error.retry_after_ms / 1000, low), high)
+        if busy:
+            request.not_before = self.clock() + _between(error.retry_after_ms / 1000, BUSY_WAIT_S)
         self._waiting.appendleft(request)
 
     def _on_result(self, request: Request, m: Any, fds: list[int]) -> None:
         try:
             data = self._output(request, m.output, fds)
-            self._end(request, None, result.result(m, request.id, data, request.prepared.shape))
+            shape = request.prepared.shape
+            if data is not None and shape is not None and len(data) != shape.nbytes:
+                raise errors.PeerFault(f"the result is {len(data)} bytes, expected {shape.nbytes}", field="output.size")
+            self._end(request, None, result.result(m, request.id, data, shape))
         except (errors.PeerFault, OSError, ValueError, MemoryError) as e:
             self._end(request, e)
 
@@ -475,3 +615,6 @@ class Engine:
         own = request.prepared.output
         return None if own is None else memoryview(own)
 
+
+def _between(value: float, least_most: tuple[float, float]) -> float:
+    return min(max(value, least_most[0]), least_most[1])

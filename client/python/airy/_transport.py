@@ -13,7 +13,7 @@ from typing import Optional, Sequence, Union
 
 from . import errors
 
-CONNECT_TIMEOUT_S = 5.0
+CONNECT_TIMEOUT_S = 30.0  # a daemon may be started by this very connection, and tests its device before it says a word
 READ_BYTES = 256 * 1024
 SYSTEM_SOCKET = "/run/airyd/airyd.sock"
 

@@ -11,123 +11,139 @@ from __future__ import annotations
 import asyncio
 import socket
 from types import TracebackType
-from typing import Any, Callable, Generic, Optional, Sequence, TypeVar, Union
+from typing import Any, Callable, Coroutine, Generic, Optional, TypeVar
 
-from . import _request, _transport, errors, payload, result
-from ._engine import Engine, ProgressCallback, Request
-from ._request import Output, Param
-from ._wire import Type
-from .client import _PLAN_OPTIONS, answered, lost
+from . import _request, _transport, errors, payload, result, walls
+from ._engine import Engine
+from ._pump import CLOSED, Backoff, Pump, no_answer
+from ._request import Definition
+from ._task import Question, Request
+from ._verbs import Make, Verbs
+from .client import _RECONNECT_S, ASK_S
 
 _T = TypeVar("_T")
 
 
 class _Connection:
-    """A socket on the running loop, and its engine."""
+    """An engine on the running loop and, while a daemon is there, the socket to it."""
 
-    def __init__(self, s: socket.socket) -> None:
-        self.socket = s
-        self.engine = Engine()
+    def __init__(self, path: Optional[_transport.PathLike], timeout_s: float, again_s: float) -> None:
+        self.engine = Engine(again_s=again_s)
+        self._path = path
+        self._timeout_s = timeout_s
         self._loop = asyncio.get_running_loop()
-        self._buffer = memoryview(bytearray(_transport.READ_BYTES))
+        self._pump = Pump(self.engine)
+        self._socket: Optional[socket.socket] = None
         self._writing = False
         self._timer: Optional[asyncio.TimerHandle] = None
+        self._reopening: Optional[asyncio.Task[None]] = None
         self._greeted: asyncio.Future[None] = self._loop.create_future()
+
+    async def open(self) -> None:
+        try:
+            await self._connect(self._timeout_s)
+            try:
+                await asyncio.wait_for(self._greeted, self._timeout_s)
+            except asyncio.TimeoutError:
+                raise no_answer(self._timeout_s) from None
+        except BaseException:
+            self.close()
+            raise
+
+    async def _connect(self, timeout_s: float) -> None:
+        # A Unix socket connects at once, unless the backlog is full: not the loop's to wait for.
+        s = await asyncio.to_thread(_transport.connect, self._path, timeout_s)
+        if self.engine.lost is not None:  # closed meanwhile
+            s.close()
+            return
         s.setblocking(False)
-        self._loop.add_reader(s, self._on_readable)
+        if self.engine.down is not None:
+            self.engine.begin()
+        self._socket = s
+        self._writing = False
+        self._loop.add_reader(s, self.move)
         self.move()
 
-    async def greet(self, timeout_s: float) -> None:
-        try:
-            await asyncio.wait_for(self._greeted, timeout_s)
-        except asyncio.TimeoutError:
-            raise errors.ConnectionLost(
-                f"the daemon did not answer HELLO in {timeout_s:g} s", field="socket"
-            ) from None
-
     def close(self, why: Optional[errors.AiryError] = None) -> None:
-        if self.socket.fileno() >= 0:
-            self._loop.remove_reader(self.socket)
-            self._loop.remove_writer(self.socket)
-            self.socket.close()
-        if self._timer is not None:
-            self._timer.cancel()
-        self.engine.lose(why or errors.ConnectionLost("the connection was closed by close()"))
-        if not self._greeted.done():
-            assert self.engine.lost is not None
-            self._greeted.set_exception(self.engine.lost)
+        self.engine.lose(why or errors.ConnectionLost(CLOSED))
+        self._settle()
+
+    def _hang_up(self) -> None:
+        if self._socket is not None:
+            self._loop.remove_reader(self._socket)
+            self._loop.remove_writer(self._socket)
+            self._socket.close()
+            self._socket = None
 
     def move(self) -> None:
-        """Sends what can be sent, and asks the loop for the rest."""
-        if self.engine.lost is not None:
-            self.close()
-            return
-        refused = self._write()
-        if refused is not None:
-            # The daemon may have sent the reason first.
-            self.close(self._read() or refused)
-            return
-        want = self.engine.outgoing() is not None
-        if want != self._writing:
-            self._writing = want
-            if want:
-                self._loop.add_writer(self.socket, self.move)
-            else:
-                self._loop.remove_writer(self.socket)
+        """Sends what can be sent, takes what is there, and asks the loop for the rest."""
+        self.engine.tick()
+        if self._socket is not None and self.engine.lost is None and self.engine.down is None:
+            self._pump.exchange(self._socket)
+        self._settle()
+
+    def _settle(self) -> None:
+        """What follows from how the engine is now."""
+        engine = self.engine
+        if engine.lost is not None or engine.down is not None:
+            self._hang_up()
+        if not self._greeted.done():
+            if engine.lost is not None:
+                self._greeted.set_exception(engine.lost)
+                self._greeted.exception()  # heard: nobody may be waiting
+            elif engine.ready:
+                self._greeted.set_result(None)
+        if engine.lost is not None and self._reopening is not None:
+            self._reopening.cancel()
+        if engine.lost is None and engine.down is not None and engine.wanted and self._reopening is None:
+            self._reopening = asyncio.create_task(self._reopen())
+        if self._socket is not None:
+            want = engine.outgoing() is not None
+            if want != self._writing:
+                self._writing = want
+                if want:
+                    self._loop.add_writer(self._socket, self.move)
+                else:
+                    self._loop.remove_writer(self._socket)
         self._arm()
 
     def _arm(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        wake = self.engine.next_wake()
+        wake = self.engine.next_wake() if self.engine.lost is None else None
         if wake is not None:
             self._timer = self._loop.call_later(max(0.0, wake - self.engine.clock()), self._on_timer)
 
     def _on_timer(self) -> None:
         self._timer = None
-        self.engine.tick()
         self.move()
 
-    def _write(self) -> Optional[errors.AiryError]:
-        for _ in range(8):
-            piece = self.engine.outgoing()
-            if piece is None:
-                return None
-            try:
-                n = _transport.send(self.socket, piece.buffers, piece.fds)
-            except OSError as e:
-                return lost(e)
-            if not n:
-                return None
-            self.engine.went(n)
-        return None
+    async def _reopen(self) -> None:
+        """Until a daemon has greeted, or nobody wants one any more; the engine knows when that is."""
+        engine, backoff = self.engine, Backoff()
+        try:
+            while engine.lost is None and engine.wanted and not engine.ready:
+                try:
+                    await self._connect(min(self._timeout_s, engine.again_s))
+                    await self._await_welcome()
+                except errors.NoDaemon as e:
+                    engine.refused(e)
+                if not engine.ready:
+                    await asyncio.sleep(backoff.take())
+                    engine.tick()
+        finally:
+            self._reopening = None
+            self._settle()
 
-    def _read(self) -> Optional[errors.AiryError]:
-        for _ in range(16):
-            if self.engine.lost is not None:
-                break
-            try:
-                came = _transport.receive(self.socket, self._buffer)
-            except OSError as e:
-                return lost(e)
-            if came is None:
-                break
-            n, fds, truncated = came
-            if not n:
-                _transport.close_all(fds)
-                return lost(None)
-            self.engine.incoming(self._buffer[:n], fds, truncated)
-        return None
-
-    def _on_readable(self) -> None:
-        ended = self._read()
-        if ended is not None:
-            self.close(ended)
-            return
-        if self.engine.welcome is not None and not self._greeted.done():
-            self._greeted.set_result(None)
-        self.move()
+    async def _await_welcome(self) -> None:
+        engine, end = self.engine, self._loop.time() + self._timeout_s
+        while not engine.ready and engine.lost is None and engine.down is None:
+            if self._loop.time() >= end:
+                engine.drop(no_answer(self._timeout_s))
+                self._hang_up()
+                return
+            await asyncio.sleep(0.01)
 
 
 class Pending(Generic[_T]):
@@ -136,7 +152,6 @@ class Pending(Generic[_T]):
     def __init__(self, connection: _Connection, request: Request) -> None:
         self._connection = connection
         self._request = request
-        self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         self._sent = asyncio.Event()
         request.on_sent = lambda _: self._sent.set()
@@ -177,12 +192,19 @@ class Pending(Generic[_T]):
         return self.result().__await__()
 
 
-class Client:
-    """Connects on `async with`, or at the first verb; path as airy.Client's."""
+class Client(Verbs[Coroutine[Any, Any, Pending[result.Result]], Coroutine[Any, Any, result.Result]]):
+    """Connects on `async with`, or at the first verb; the arguments are airy.Client's, and so are those of the verbs."""
 
-    def __init__(self, path: Optional[_transport.PathLike] = None, timeout: float = _transport.CONNECT_TIMEOUT_S) -> None:
+    def __init__(
+        self,
+        path: Optional[_transport.PathLike] = None,
+        timeout: float = _transport.CONNECT_TIMEOUT_S,
+        *,
+        reconnect: float = _RECONNECT_S,
+    ) -> None:
         self._path = path
         self._timeout = timeout
+        self._reconnect = reconnect
         self._closed = False
         self._connection: Optional[_Connection] = None
         self._connecting = asyncio.Lock()
@@ -209,98 +231,105 @@ class Client:
             raise errors.ConnectionLost("not connected yet")
         return self._connection.engine.welcome
 
-    async def bloom(self, frame: payload.Source, /, **options: Any) -> result.Result:
-        """One frame; see airy.Client.bloom. For a time limit: asyncio.wait_for."""
-        return await (await self.submit(frame, **options)).result()
+    # ---- verbs, beside those of Verbs ------------------------------------------------------------
 
-    async def submit(
-        self,
-        frame: payload.Source,
-        /,
-        *,
-        part: Union[str, int, None] = None,
-        layer: Optional[str] = None,
-        view: Optional[str] = None,
-        show: Optional[str] = None,
-        pixels: Optional[str] = None,
-        compression: Optional[str] = None,
-        via: Optional[payload.Via] = None,
-        output: Optional[Output] = None,
-        channels: Optional[Sequence[str]] = None,
-        progress: Optional[ProgressCallback] = None,
-        **params: Param,
-    ) -> Pending[result.Result]:
-        """Returns when the frame is on its way: at once, or as soon as credit allows. Await what it returns."""
-        return await self._submit(
-            lambda engine: _request.bloom(
-                engine,
-                frame,
-                params,
-                part=part,
-                layer=layer,
-                view=view,
-                show=show,
-                pixels=pixels,
-                compression=compression,
-                via=via,
-                output=output,
-                channels=channels,
-                progress=progress,
-            )
-        )
+    async def bloom(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
+        """One frame; see airy.Client.bloom. After `timeout` seconds the request is cancelled, and TimeoutError raised."""
 
-    async def plan(self, frame: payload.Source, /, **options: Any) -> result.Result:
-        extra = {k: options.pop(k) for k in _PLAN_OPTIONS & options.keys()}
-        pending: Pending[result.Result] = await self._submit(
-            lambda engine: _request.bloom(engine, frame, options, plan_only=True, **extra)
-        )
-        return await pending.result()
+        async def whole() -> result.Result:
+            return await (await self.submit(frame, **options)).result()
 
-    async def asset(self, source: payload.Source, *, via: Optional[payload.Via] = None) -> result.Asset:
-        pending: Pending[result.Asset] = await self._submit(lambda engine: _request.asset(engine, source, via))
-        return await pending.result()
+        return await _within(whole(), timeout)
 
-    async def status(self) -> result.Status:
-        return result.status(await self._ask(Type.STATUS, None, Type.STATUS_REPLY))
+    async def asset(
+        self, source: payload.Source, *, via: Optional[payload.Via] = None, timeout: Optional[float] = None
+    ) -> result.Asset:
+        async def whole() -> result.Asset:
+            pending: Pending[result.Asset] = await self._send(lambda w: _request.asset(w, source, via))
+            return await pending.result()
 
-    async def wall_list(self, name: str = "") -> Any:
-        """The WallReply message; for daemons with the feature "wall"."""
-        engine = (await self._live()).engine
-        assert engine.welcome is not None
-        if "wall" not in engine.welcome.features:
-            raise errors.InvalidRequest("the daemon has no walls", field="wall")
-        return await self._ask(Type.WALL, _request.wall_list(name), Type.WALL_REPLY)
+        return await _within(whole(), timeout)
+
+    async def status(self, timeout: float = ASK_S) -> result.Status:
+        status: result.Status = await self._ask(_request.status, timeout)
+        return status
+
+    async def wall_list(self, name: str = "", *, timeout: float = ASK_S) -> walls.Walls:
+        found: walls.Walls = await self._ask(lambda w: _request.wall_list(w, name), timeout)
+        return found
+
+    async def wall_open(
+        self, definition: Definition, *, calibration: str = "", keep: bool = False, timeout: float = ASK_S
+    ) -> walls.WallState:
+        return await self._wall(lambda w: _request.wall_open(w, definition, calibration, keep), timeout)
+
+    async def wall_close(self, name: str, *, timeout: float = ASK_S) -> None:
+        await self._ask(lambda w: _request.wall_close(w, name), timeout)
+
+    async def wall_pattern(
+        self, name: str, pattern: str = "", *, board: str = "", led: int = 0, level: float = 0, timeout: float = ASK_S
+    ) -> walls.WallState:
+        return await self._wall(lambda w: _request.wall_pattern(w, name, pattern, board, led, level), timeout)
+
+    async def wall_preview(self, name: str, *, timeout: float = ASK_S) -> walls.Preview:
+        preview: walls.Preview = await self._ask(lambda w: _request.wall_preview(w, name), timeout)
+        return preview
+
+    # ---- within --------------------------------------------------------------------------------
 
     async def _live(self) -> _Connection:
         async with self._connecting:
             if self._closed:
                 raise errors.ConnectionLost("the client was closed")
             if self._connection is None or self._connection.engine.lost is not None:
-                # A Unix socket connects at once, unless the backlog is full: not the loop's to wait for.
-                s = await asyncio.to_thread(_transport.connect, self._path, self._timeout)
-                self._connection = _Connection(s)
-                try:
-                    await self._connection.greet(self._timeout)
-                except BaseException:
-                    self._connection.close()
-                    raise
+                self._connection = _Connection(self._path, self._timeout, self._reconnect)
+                await self._connection.open()
             return self._connection
 
-    async def _submit(self, make: Callable[[Engine], Request]) -> Pending[_T]:
+    async def _submit(self, make: Make, timeout: Optional[float]) -> Pending[result.Result]:
+        sent: Pending[result.Result] = await _within(self._send(make), timeout)
+        return sent
+
+    async def _result(self, make: Make, timeout: Optional[float]) -> result.Result:
+        async def whole() -> result.Result:
+            pending: Pending[result.Result] = await self._send(make)
+            return await pending.result()
+
+        return await _within(whole(), timeout)
+
+    async def _send(self, make: Make) -> Pending[_T]:
         connection = await self._live()
-        request = make(connection.engine)
+        assert connection.engine.welcome is not None
+        request = make(connection.engine.welcome)
         pending: Pending[_T] = Pending(connection, request)
         connection.engine.submit(request)
         connection.move()
         await pending.sent()
         return pending
 
-    async def _ask(self, kind: Type, body: Any, answer: Type) -> Any:
+    async def _wall(self, make: Callable[[result.Welcome], Question], timeout: float) -> walls.WallState:
+        state: walls.WallState = await self._ask(make, timeout)
+        return state
+
+    async def _ask(self, make: Callable[[result.Welcome], Question], timeout: float) -> Any:
         connection = await self._live()
-        got: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        id = connection.engine.ask(kind, body, answer, lambda m: None if got.done() else got.set_result(m))
+        engine = connection.engine
+        assert engine.welcome is not None
+        question = make(engine.welcome)
+        ended = asyncio.Event()
+        question.on_end = lambda _: ended.set()
+        engine.ask(question)
         connection.move()
         try:
-            return answered(await got, connection.engine)
-        finally:
-            connection.engine.forget(id)
+            await _within(ended.wait(), timeout)
+        except BaseException:
+            engine.forget(question)
+            raise
+        if question.error is not None:
+            raise question.error
+        return question.value
+
+
+async def _within(what: Coroutine[Any, Any, _T], timeout: Optional[float]) -> _T:
+    async with asyncio.timeout(timeout):
+        return await what

@@ -2,7 +2,7 @@
 """The blocking client. It starts no thread: whoever waits moves all requests of the connection along.
 
 Several threads may share a Client: one of them at a time is the one that moves, for all. Each request ends in a Result or an
-exception of airy.errors. When the daemon was restarted, the next call connects anew.
+exception of airy.errors. When the daemon goes and comes back meanwhile, what may be asked again is, by whoever waits for it.
 """
 from __future__ import annotations
 
@@ -11,101 +11,101 @@ import socket
 import threading
 import time
 from types import TracebackType
-from typing import Any, Callable, Generic, Optional, Sequence, TypeVar, Union
+from typing import Any, Callable, Generic, Optional, TypeVar
 
-from . import _request, _transport, errors, payload, result
-from ._engine import Engine, ProgressCallback, Request
-from ._request import Output, Param
-from ._wire import Type
+from . import _request, _transport, errors, payload, result, walls
+from ._engine import Engine
+from ._pump import CLOSED, Backoff, Pump, no_answer
+from ._request import Definition
+from ._task import Question, Request
+from ._verbs import Make, Verbs
 
 _T = TypeVar("_T")
 _STEP_S = 0.05  # how long a thread may wait for another's step before it looks again
+_RECONNECT_S = 15.0
+ASK_S = 15.0
 
 
 class _Connection:
-    """A socket and its engine."""
+    """An engine and, while a daemon is there, the socket to it."""
 
-    def __init__(self, s: socket.socket, timeout_s: float) -> None:
-        self.socket = s
-        self.engine = Engine()
+    def __init__(self, path: Optional[_transport.PathLike], timeout_s: float, again_s: float) -> None:
+        self.engine = Engine(again_s=again_s)
         self.lock = threading.Lock()
-        self._buffer = memoryview(bytearray(_transport.READ_BYTES))
-        s.setblocking(False)
-        deadline = time.monotonic() + timeout_s
+        self._path = path
+        self._timeout_s = timeout_s
+        self._pump = Pump(self.engine)
+        self._backoff = Backoff()
+        self._open_at = 0.0
+        self._greet_by = time.monotonic() + timeout_s
+        self._socket: Optional[socket.socket] = _transport.connect(path, timeout_s)
         try:
+            self._socket.setblocking(False)
             while self.engine.welcome is None:
                 if self.engine.lost is not None:
                     raise self.engine.lost
-                left = deadline - time.monotonic()
-                if left <= 0:
-                    raise errors.ConnectionLost(f"the daemon did not answer HELLO in {timeout_s:g} s", field="socket")
-                self.step(left)
+                self.step(timeout_s)
         except BaseException as e:
             self.close(e if isinstance(e, errors.AiryError) else None)
             raise
 
     def close(self, why: Optional[errors.AiryError] = None) -> None:
-        self.engine.lose(why or errors.ConnectionLost("the connection was closed by close()"))
-        self.socket.close()
+        self.engine.lose(why or errors.ConnectionLost(CLOSED))
+        self._hang_up()
 
-    def step(self, timeout_s: Optional[float]) -> None:
-        """Waits for the socket at most so long, and does what can be done. The caller has the lock."""
+    def _hang_up(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def step(self, timeout_s: float) -> None:
+        """Waits at most so long, and does what can be done. The caller has the lock."""
         engine = self.engine
+        engine.tick()
+        if engine.lost is not None or engine.down is not None:
+            self._hang_up()
         if engine.lost is not None:
             return
+        if self._socket is None:
+            if engine.wanted:
+                self._reopen(timeout_s)
+            return
+        self._wait(self._socket, timeout_s)
+        engine.tick()
+        self._pump.exchange(self._socket)
+        if engine.ready:
+            self._backoff = Backoff()
+        elif engine.down is None and time.monotonic() >= self._greet_by:
+            engine.drop(no_answer(self._timeout_s))
+        if engine.lost is not None or engine.down is not None:
+            self._hang_up()
+
+    def _wait(self, s: socket.socket, timeout_s: float) -> None:
+        engine = self.engine
         wake = engine.next_wake()
         if wake is not None:
-            until_wake = max(0.0, wake - engine.clock())
-            timeout_s = until_wake if timeout_s is None else min(timeout_s, until_wake)
+            timeout_s = min(timeout_s, max(0.0, wake - engine.clock()))
+        if not engine.ready:
+            timeout_s = min(timeout_s, max(0.0, self._greet_by - time.monotonic()))
         poll = select.poll()
-        poll.register(self.socket, select.POLLIN | (select.POLLOUT if engine.outgoing() is not None else 0))
-        poll.poll(None if timeout_s is None else max(0, int(timeout_s * 1000 + 0.999)))
-        engine.tick()
-        # A daemon that refuses our bytes may have sent the reason first: read before giving up.
-        refused = self._write()
-        ended = self._read()
-        if engine.lost is None and (ended is not None or refused is not None):
-            self.close(ended or refused)
-        elif engine.lost is not None:
-            self.socket.close()
+        poll.register(s, select.POLLIN | (select.POLLOUT if engine.outgoing() is not None else 0))
+        poll.poll(int(timeout_s * 1000 + 0.999))
 
-    def _write(self) -> Optional[errors.AiryError]:
-        # Not without end: the daemon may be sending too.
-        for _ in range(8):
-            piece = self.engine.outgoing()
-            if piece is None:
-                return None
-            try:
-                n = _transport.send(self.socket, piece.buffers, piece.fds)
-            except OSError as e:
-                return lost(e)
-            if not n:
-                return None
-            self.engine.went(n)
-        return None
-
-    def _read(self) -> Optional[errors.AiryError]:
-        for _ in range(16):
-            try:
-                came = _transport.receive(self.socket, self._buffer)
-            except OSError as e:
-                return lost(e)
-            if came is None:
-                return None
-            n, fds, truncated = came
-            if not n:
-                _transport.close_all(fds)
-                return lost(None)
-            self.engine.incoming(self._buffer[:n], fds, truncated)
-            if self.engine.lost is not None:
-                return None
-        return None
-
-
-def lost(e: Optional[OSError]) -> errors.ConnectionLost:
-    if e is None or isinstance(e, (BrokenPipeError, ConnectionResetError)):
-        return errors.ConnectionLost("the daemon closed the connection", retryable=True)
-    return errors.ConnectionLost(f"the connection failed: {e.strerror}", retryable=True)
+    def _reopen(self, timeout_s: float) -> None:
+        wait = self._open_at - time.monotonic()
+        if wait > 0:
+            time.sleep(min(wait, timeout_s))
+        if time.monotonic() < self._open_at:
+            return
+        self._open_at = time.monotonic() + self._backoff.take()
+        try:
+            self._socket = _transport.connect(self._path, min(self._timeout_s, self.engine.again_s))
+        except errors.NoDaemon as e:
+            self.engine.refused(e)
+            return
+        self._socket.setblocking(False)
+        self._greet_by = time.monotonic() + self._timeout_s
+        self.engine.begin()
 
 
 class Pending(Generic[_T]):
@@ -126,10 +126,9 @@ class Pending(Generic[_T]):
 
     def result(self, timeout: Optional[float] = None) -> _T:
         """Waits; raises TimeoutError when it takes longer (the request goes on), or the exception that it ended in."""
-        if not _until(self._connection, lambda: self._request.ended, timeout):
-            raise TimeoutError(f"request {self._request.id} did not end in {timeout:g} s")
-        if self._request.error is not None:
-            raise self._request.error
+        error = self.exception(timeout)
+        if error is not None:
+            raise error
         value: _T = self._request.value
         return value
 
@@ -157,15 +156,26 @@ def _until(connection: _Connection, done: Callable[[], bool], timeout: Optional[
     return True
 
 
-class Client:
-    """A connection to airyd. path None: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock."""
+class Client(Verbs[Pending[result.Result], result.Result]):
+    """A connection to airyd. path None: $AIRY_SOCKET, else $XDG_RUNTIME_DIR/airyd.sock, else /run/airyd/airyd.sock.
 
-    def __init__(self, path: Optional[_transport.PathLike] = None, timeout: float = _transport.CONNECT_TIMEOUT_S) -> None:
+    timeout: seconds for connecting, which may start a daemon. reconnect: seconds for which a daemon that has gone is waited for by
+    what is in flight and may be asked again, and by what is asked meanwhile; 0: requests end in ConnectionLost at once, and the next
+    call connects anew."""
+
+    def __init__(
+        self,
+        path: Optional[_transport.PathLike] = None,
+        timeout: float = _transport.CONNECT_TIMEOUT_S,
+        *,
+        reconnect: float = _RECONNECT_S,
+    ) -> None:
         self._path = path
         self._timeout = timeout
+        self._reconnect = reconnect
         self._closed = False
         self._lock = threading.Lock()
-        self._connection = self._connect()
+        self._connection = _Connection(path, timeout, reconnect)
 
     def __enter__(self) -> Client:
         return self
@@ -184,11 +194,9 @@ class Client:
     @property
     def daemon(self) -> result.Welcome:
         """Its version, features, limits, device and looks."""
-        welcome = self._connection.engine.welcome
-        assert welcome is not None
-        return welcome
+        return _welcome(self._connection)
 
-    # ---- verbs ---------------------------------------------------------------------------------
+    # ---- verbs, beside those of Verbs ------------------------------------------------------------
 
     def bloom(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
         """One frame: a path, EXR bytes, a NumPy array (height, width[, channels]) of float16 or float32, or airy.Raw.
@@ -197,83 +205,47 @@ class Client:
         pending = self.submit(frame, timeout=timeout, **options)
         return self._finish(pending, None if deadline is None else max(0.0, deadline - time.monotonic()))
 
-    def submit(
-        self,
-        frame: payload.Source,
-        /,
-        *,
-        part: Union[str, int, None] = None,
-        layer: Optional[str] = None,
-        view: Optional[str] = None,
-        show: Optional[str] = None,
-        pixels: Optional[str] = None,
-        compression: Optional[str] = None,
-        via: Optional[payload.Via] = None,
-        output: Optional[Output] = None,
-        channels: Optional[Sequence[str]] = None,
-        progress: Optional[ProgressCallback] = None,
-        timeout: Optional[float] = None,
-        **params: Param,
-    ) -> Pending[result.Result]:
-        """Sends a frame and returns at once, or as soon as the connection's credit allows, within `timeout` seconds (else
-        TimeoutError, and nothing was sent); wait with .result().
-
-        part, layer, view (a stereo view), pixels, compression: of an EXR file, as `airy bloom` has them. show is the
-        parameter `view`: what the picture shows. via: "inline", "memfd" or "file"; output: "inline", "memfd", or "buffer" (of raw
-        pixels and arrays: memory of this side's own, and the result's array is writable). progress(stage, fraction) is called
-        from within the waits. Everything else is a parameter of PROTOCOL.md section 9: threshold=1.5, psf="eye:weight=.1"."""
-        return self._submit(
-            lambda engine: _request.bloom(
-                engine,
-                frame,
-                params,
-                part=part,
-                layer=layer,
-                view=view,
-                show=show,
-                pixels=pixels,
-                compression=compression,
-                via=via,
-                output=output,
-                channels=channels,
-                progress=progress,
-            ),
-            timeout,
-        )
-
-    def plan(self, frame: payload.Source, /, *, timeout: Optional[float] = None, **options: Any) -> result.Result:
-        """What would run, its bound and its time: nothing is bloomed. Takes submit()'s options, but output and progress."""
-        extra = {k: options.pop(k) for k in _PLAN_OPTIONS & options.keys()}
-        pending: Pending[result.Result] = self._submit(
-            lambda engine: _request.bloom(engine, frame, options, plan_only=True, **extra)
-        )
-        return self._finish(pending, timeout)
-
     def asset(
         self, source: payload.Source, *, via: Optional[payload.Via] = None, timeout: Optional[float] = None
     ) -> result.Asset:
         """Sends an EXR file to be kept: lens dirt (dirt=asset.digest), a kernel (psf="image:" + asset.digest)."""
-        pending: Pending[result.Asset] = self._submit(lambda engine: _request.asset(engine, source, via))
+        pending: Pending[result.Asset] = self._send(lambda w: _request.asset(w, source, via), None)
         return self._finish(pending, timeout)
 
-    def status(self, timeout: float = 5.0) -> result.Status:
+    def status(self, timeout: float = ASK_S) -> result.Status:
         """Answered at any load, beside whatever is in flight."""
-        return result.status(self._ask(Type.STATUS, None, Type.STATUS_REPLY, timeout))
+        status: result.Status = self._ask(_request.status, timeout)
+        return status
 
-    def wall_list(self, name: str = "", timeout: float = 5.0) -> Any:
-        """The WallReply message: all walls and controllers, or one wall's. For daemons with the feature "wall"."""
-        connection = self._live()
-        assert connection.engine.welcome is not None
-        if "wall" not in connection.engine.welcome.features:
-            raise errors.InvalidRequest("the daemon has no walls", field="wall")
-        return self._ask(Type.WALL, _request.wall_list(name), Type.WALL_REPLY, timeout)
+    def wall_list(self, name: str = "", *, timeout: float = ASK_S) -> walls.Walls:
+        """All walls that are open and all controllers that are plugged in, or one wall."""
+        found: walls.Walls = self._ask(lambda w: _request.wall_list(w, name), timeout)
+        return found
+
+    def wall_open(
+        self, definition: Definition, *, calibration: str = "", keep: bool = False, timeout: float = ASK_S
+    ) -> walls.WallState:
+        """Opens a wall of airy-wall(5): its text, or a pathlib.Path of it. calibration: asset(FILE).digest, when the definition names
+        an image. Without keep the wall goes when this connection does, also when it is lost."""
+        return self._wall(lambda w: _request.wall_open(w, definition, calibration, keep), timeout)
+
+    def wall_close(self, name: str, *, timeout: float = ASK_S) -> None:
+        """Black, then away; whoever opened it."""
+        self._ask(lambda w: _request.wall_close(w, name), timeout)
+
+    def wall_pattern(
+        self, name: str, pattern: str = "", *, board: str = "", led: int = 0, level: float = 0, timeout: float = ASK_S
+    ) -> walls.WallState:
+        """A test pattern instead of frames: order panels red green blue white ramp checker led black; "" ends it. level: linear, 0
+        to 1, 0: 0.25; board and led: of "led"."""
+        return self._wall(lambda w: _request.wall_pattern(w, name, pattern, board, led, level), timeout)
+
+    def wall_preview(self, name: str, *, timeout: float = ASK_S) -> walls.Preview:
+        """What was sent to its boards last, as a picture of 8 bits."""
+        preview: walls.Preview = self._ask(lambda w: _request.wall_preview(w, name), timeout)
+        return preview
 
     # ---- within --------------------------------------------------------------------------------
-
-    def _connect(self) -> _Connection:
-        deadline = time.monotonic() + self._timeout
-        s = _transport.connect(self._path, self._timeout)
-        return _Connection(s, max(0.001, deadline - time.monotonic()))
 
     def _live(self) -> _Connection:
         with self._lock:
@@ -283,12 +255,18 @@ class Client:
             with self._connection.lock:
                 self._connection.step(0)
             if self._connection.engine.lost is not None:
-                self._connection = self._connect()
+                self._connection = _Connection(self._path, self._timeout, self._reconnect)
             return self._connection
 
-    def _submit(self, make: Callable[[Engine], Request], timeout: Optional[float] = None) -> Pending[_T]:
+    def _submit(self, make: Make, timeout: Optional[float]) -> Pending[result.Result]:
+        return self._send(make, timeout)
+
+    def _result(self, make: Make, timeout: Optional[float]) -> result.Result:
+        return self._finish(self._submit(make, None), timeout)
+
+    def _send(self, make: Make, timeout: Optional[float]) -> Pending[_T]:
         connection = self._live()
-        request = make(connection.engine)
+        request = make(_welcome(connection))
         with connection.lock:
             connection.engine.submit(request)
             connection.step(0)
@@ -309,27 +287,26 @@ class Client:
                 pending.cancel()
             raise
 
-    def _ask(self, kind: Type, body: Any, answer: Type, timeout: float) -> Any:
+    def _wall(self, make: Callable[[result.Welcome], Question], timeout: float) -> walls.WallState:
+        state: walls.WallState = self._ask(make, timeout)
+        return state
+
+    def _ask(self, make: Callable[[result.Welcome], Question], timeout: float) -> Any:
         connection = self._live()
-        got: list[Any] = []
+        question = make(_welcome(connection))
         with connection.lock:
-            id = connection.engine.ask(kind, body, answer, got.append)
+            connection.engine.ask(question)
             connection.step(0)
-        if not _until(connection, lambda: bool(got), timeout):
+        if not _until(connection, lambda: question.ended, timeout):
             with connection.lock:
-                connection.engine.forget(id)
-            raise TimeoutError(f"the daemon did not answer {kind.name} in {timeout:g} s")
-        return answered(got[0], connection.engine)
+                connection.engine.forget(question)
+            raise TimeoutError(f"the daemon did not answer {question.kind.name} in {timeout:g} s")
+        if question.error is not None:
+            raise question.error
+        return question.value
 
 
-def answered(got: Any, engine: Engine) -> Any:
-    """What ask() was told: None when the connection went."""
-    if got is None:
-        assert engine.lost is not None
-        raise engine.lost
-    if isinstance(got, BaseException):
-        raise got
-    return got
-
-
-_PLAN_OPTIONS = {"part", "layer", "view", "show", "pixels", "compression", "via", "channels"}
+def _welcome(connection: _Connection) -> result.Welcome:
+    welcome = connection.engine.welcome
+    assert welcome is not None
+    return welcome

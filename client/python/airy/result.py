@@ -6,6 +6,7 @@ mapped only when it is sealed against shrinking and as long as it is said to be,
 """
 from __future__ import annotations
 
+import math
 import mmap
 import os
 import secrets
@@ -143,10 +144,25 @@ class Shape:
     shape: tuple[int, ...]
     dtype: str
 
+    @property
+    def nbytes(self) -> int:
+        return math.prod(self.shape) * int(self.dtype[-1])
+
+
+@dataclass(frozen=True)
+class Region:
+    """Pixels of the display window, from its corner."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
 
 @dataclass(frozen=True)
 class Result:
-    """data is None after plan(); the first target's figures are at hand as plan, bound, energy and nonfinite."""
+    """data is None after plan() and show(); the first target's figures are at hand as plan, bound, energy and nonfinite. need:
+    with a wall, what of the frame its panels' light comes from. stamp: of an EXR file, the attribute "airy" that the output has."""
 
     id: int
     data: Optional[memoryview]
@@ -157,6 +173,8 @@ class Result:
     chunks_copied: int
     notes: tuple[str, ...]
     exposure: float
+    need: Optional[Region] = None
+    stamp: str = ""
     shape: Optional[Shape] = field(default=None, repr=False)
 
     @property
@@ -178,9 +196,12 @@ class Result:
 
     @property
     def array(self) -> Any:
-        """The picture as a NumPy array of the input array's shape and type; no copy. Read-only, but of output="buffer"."""
+        """The picture as a NumPy array of the input array's shape and type; of a wall, its linear drive, (height, width, 3)
+        float32. No copy. Read-only, but of output="buffer"."""
         if self.shape is None or self.data is None:
-            raise errors.InvalidRequest("there is an array only when an array went in; this has .data", field="array")
+            raise errors.InvalidRequest(
+                "there is an array when one went in, and of a wall's drive; this has .data", field="array"
+            )
         import numpy
 
         return numpy.frombuffer(self.data, dtype=self.shape.dtype).reshape(self.shape.shape)
@@ -206,7 +227,7 @@ class Result:
 
     def _some(self) -> memoryview:
         if self.data is None:
-            raise errors.InvalidRequest("a plan has no picture", field="data")
+            raise errors.InvalidRequest("a plan, or a frame that is on a wall, has no picture", field="data")
         return self.data
 
 
@@ -258,6 +279,8 @@ def result(m: Any, id: int, data: Optional[memoryview], shape: Optional[Shape]) 
         chunks_copied=m.chunks_copied,
         notes=tuple(m.notes),
         exposure=m.exposure,
+        need=_fields(Region, m.need) if m.HasField("need") else None,
+        stamp=m.stamp,
         shape=shape,
     )
 

@@ -112,7 +112,7 @@ class Daemon:
 
     def kill(self, how: int = signal.SIGKILL) -> int:
         self.process.send_signal(how)
-        return self.process.wait(30)
+        return self.process.wait(120)
 
     def stop(self) -> None:
         if self.process.poll() is None:
@@ -152,6 +152,8 @@ class Payloads:
             subprocess.run([SCENE, str(path), *map(str, p["scene"])], check=True)
             return path.read_bytes()
         raw = p["raw"]
+        if "fill" in raw:
+            return struct.pack("<f", raw["fill"]) * (raw["width"] * raw["height"] * len(raw["channels"]))
         half = raw["type"] == "PIXEL_HALF"
         one = struct.Struct("<H" if half else "<I").pack
         spark, dim, opaque = map(one, (0x5000, 0x3000, 0x3C00) if half else (0x42000000, 0x3E000000, 0x3F800000))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import json
+import math
 import os
 import socket
 import subprocess
@@ -198,6 +199,7 @@ class Requests:
         if "field" in want:
             equal(e.field, want["field"], f"the field of {e}")
         need(e.text, "the error has no text")
+        need(e.text.startswith(want.get("text", "")), f"{e} does not begin with {want.get('text')}")
 
     def picture(self, case: dict[str, Any], result: airy.Result, given: bytes, via: str) -> None:
         want, data = case["expect"], result.tobytes()
@@ -244,6 +246,120 @@ class Requests:
             self.bloom(then, then["request"]["via"][0], digests.pop())
 
 
+class WallCase:
+    """Plays one case's steps, each on the connection that it names."""
+
+    def __init__(self, requests: Requests, path: str) -> None:
+        self.requests, self.path = requests, path
+        self.clients: dict[str, airy.Client] = {}
+
+    def play(self, steps: list[dict[str, Any]]) -> None:
+        try:
+            for step in steps:
+                name = step.get("leave", step.get("as", "a"))
+                if name not in self.clients:
+                    self.clients[name] = airy.Client(self.path)
+                if "leave" in step:
+                    self.clients.pop(name).close()
+                else:
+                    self.step(self.clients[name], step, step.get("expect", {}))
+        finally:
+            for client in self.clients.values():
+                client.close()
+
+    def step(self, c: airy.Client, step: dict[str, Any], want: dict[str, Any]) -> None:
+        verb = next(k for k in ("open", "close", "list", "pattern", "preview", "bloom", "show") if k in step)
+        what = step[verb]
+        if verb in ("bloom", "show"):
+            for via in what["via"]:
+                self.expect(lambda: self.bloom(c, what, via, verb == "show"), want, self.picture)
+        elif verb == "open":
+            self.expect(lambda: [c.wall_open(**what, timeout=PATIENCE_S)], want, self.states)
+        elif verb == "pattern":
+            self.expect(lambda: [c.wall_pattern(**what, timeout=PATIENCE_S)], want, self.states)
+        elif verb == "close":
+            self.expect(lambda: c.wall_close(what, timeout=PATIENCE_S), want, lambda _, __: None)
+        elif verb == "list":
+            self.expect(lambda: c.wall_list(what, timeout=PATIENCE_S).walls, want, self.states, PATIENCE_S)
+        else:
+            self.expect(lambda: c.wall_preview(what, timeout=PATIENCE_S), want, self.preview, PATIENCE_S)
+
+    def expect(self, call: Any, want: dict[str, Any], check: Any, patience_s: float = 0) -> None:
+        if "error" in want:
+            self.requests.failed(raises(airy.AiryError, call), want["error"])
+            return
+        end = time.monotonic() + patience_s
+        while True:
+            got = call()
+            try:
+                check(got, want)
+                return
+            except AssertionError:
+                if time.monotonic() >= end:
+                    raise
+            time.sleep(0.02)
+
+    def states(self, states: Any, want: dict[str, Any]) -> None:
+        equal([s.name for s in states], [w.get("name", s.name) for w, s in zip(want["walls"], states)], "walls")
+        equal(len(states), len(want["walls"]), "the number of walls")
+        for state, fields in zip(states, want["walls"]):
+            self.fields(state, fields)
+
+    def fields(self, state: Any, fields: dict[str, Any]) -> None:
+        for name, value in fields.items():
+            found = getattr(state, name)
+            if name == "boards":
+                equal(len(found), len(value), "boards")
+                for board, wanted in zip(found, value):
+                    self.fields(board, wanted)
+            else:
+                equal(found, value, f"{name} of {state.name}")
+
+    def preview(self, p: airy.Preview, want: dict[str, Any]) -> None:
+        equal(len(p.data), p.wall.width * p.wall.height * 3, "bytes of the preview")
+        if "pixels" in want:
+            need(set(p.data) <= set(want["pixels"]), f"the preview has {sorted(set(p.data))[:8]}, expected {want['pixels']}")
+        if "first" in want:
+            equal(list(p.data[:3]), want["first"], "the first pixel")
+
+    def bloom(self, c: airy.Client, what: dict[str, Any], via: str, show: bool) -> airy.Result:
+        wall = what.get("wall")
+        options: dict[str, Any] = {"via": via, **what.get("params", {})}
+        if wall is not None:
+            options["wall"] = wall["name"]
+            if "part_of" in wall:
+                options["part_of"] = airy.Part(*wall["part_of"])
+        source = self.requests.source(what["input"], via, None)
+        if what.get("plan_only"):
+            return c.plan(source, timeout=PATIENCE_S, **options)
+        for name in ("priority", "deadline_ms"):
+            options[name] = what.get(name, 0)
+        if show:
+            assert wall is not None
+            present_ns = wall.get("present_ns", 0)
+            return c.show(source, options.pop("wall"), timeout=PATIENCE_S, present_ns=present_ns, **options)
+        return c.bloom(source, timeout=PATIENCE_S, output=what.get("output", "inline"), **options)
+
+    def picture(self, r: airy.Result, want: dict[str, Any]) -> None:
+        if "need" in want:
+            assert r.need is not None
+            equal([r.need.x, r.need.y, r.need.width, r.need.height], want["need"], "need")
+        if "drive" not in want:
+            return
+        d = want["drive"]
+        width, height = d["width"], d["height"]
+        equal((r.shape.shape if r.shape else None), (height, width, 3), "the drive's shape")
+        samples = array.array("f", r.tobytes())
+        equal(len(samples), width * height * 3, "samples of the drive")
+        need(all(math.isfinite(v) and v >= 0 for v in samples), "the drive has samples that no LED can have")
+        if "value" in d:
+            left, top, w, h = d.get("lit", [0, 0, width, height])
+            for i, v in enumerate(samples):
+                x, y = i // 3 % width, i // 3 // width
+                wanted = d["value"] if left <= x < left + w and top <= y < top + h else 0
+                need(abs(v - wanted) <= 1e-4, f"sample {i} of the drive is {v}, expected {wanted}")
+
+
 def tests(tap: Tap, work: Path) -> None:
     payloads = Payloads(work)
     daemons = {name: Daemon(work, name, *options) for name, options in SUITE["daemons"].items()}
@@ -256,6 +372,9 @@ def tests(tap: Tap, work: Path) -> None:
             if "session" in case:
                 path = daemons[case["daemon"]].path
                 tap.run(case["name"], lambda: Session(path, payloads).play(case["session"]))
+            elif "walls" in case:
+                wall_case = WallCase(requests, daemons[case["daemon"]].path)
+                tap.run(case["name"], lambda: wall_case.play(case["walls"]))
             elif "asset" in case:
                 tap.run(case["name"], lambda: requests.asset(case))
             else:

@@ -7,6 +7,8 @@ import asyncio
 import gc
 import os
 import random
+import re
+import resource
 import signal
 import socket
 import stat
@@ -23,6 +25,14 @@ from airy._wire import Type
 from kit import Daemon, Payloads, Skip, Tap, equal, main, need, open_fds, raises
 
 PSF = "gaussians:sigma=2/8,weight=0.2/0.1"
+WALL = """wall: sign
+hold: forever
+picture: {fit: stretch}
+panels:
+- {name: front, size: [8, 4]}
+boards:
+- {serial: NOT-THERE, panels: front}
+"""
 SEED = int(os.environ.get("AIRY_SEED", "0")) or random.SystemRandom().randrange(1, 2**31)
 
 
@@ -222,7 +232,7 @@ class Live:
             (lambda: self.client.plan(self.raw).tobytes(), "data"),
         ):
             equal(raises(airy.InvalidRequest, call).field, field, "field")
-        equal(len(self.client.wall_list().walls), 0, "walls that are open")
+        equal(self.client.wall_list().walls, (), "walls that are open")
         long = raises(airy.InvalidRequest, lambda: self.client.bloom(self.raw, psf="x" * 70000))
         need("65536" in str(long), f"says {long}")
 
@@ -256,7 +266,7 @@ class Live:
     def restart(self) -> None:
         own = Daemon(self.work, "restart", "--warm", "common").wait_ready()
         try:
-            with airy.Client(own.path, timeout=30) as c:
+            with airy.Client(own.path, reconnect=0) as c:
                 want = c.bloom(self.raw, psf=PSF).tobytes()
                 for how in (signal.SIGKILL, signal.SIGTERM):
                     big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
@@ -271,6 +281,152 @@ class Live:
                     need(c.bloom(self.raw, psf=PSF, timeout=60).tobytes() == want, "other bytes after the restart")
         finally:
             own.stop()
+
+    def frames(self, c: airy.Client) -> list[Any]:
+        """Pendings of every way in and out."""
+        big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+        file = airy.Raw(self.payloads.file("half_4k"), 3840, 2160)
+        ways = [(big, "memfd", "memfd"), (big, "inline", "buffer"), (file, "file", "memfd"), (big, "memfd", "buffer")]
+        return [c.submit(f, via=v, output=o, psf=PSF) for f, v, o in ways]
+
+    def again(self) -> None:
+        """A daemon that is killed in the midst of frames, or stopped, and another that is started: nobody hears of it."""
+        own = Daemon(self.work, "again", "--warm", "common").wait_ready()
+        try:
+            with airy.Client(own.path, reconnect=120) as c:
+                self.no_memory(own, c)
+                want = c.bloom(airy.Raw(self.payloads["half_4k"], 3840, 2160), psf=PSF).tobytes()
+                for how in (signal.SIGKILL, signal.SIGTERM):
+                    seen: list[str] = []
+                    big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+                    first = c.submit(big, psf=PSF, progress=lambda stage, _: seen.append(stage))
+                    while not seen and not first.done():
+                        c.status(30)
+                    if how == signal.SIGKILL:
+                        own.process.send_signal(signal.SIGSTOP)  # so that none ends before the kill
+                    pending = [first, *self.frames(c)]
+                    # A daemon that stops waits for who is to read: this thread reads.
+                    successor = threading.Thread(target=lambda: (own.kill(how), own.start()))
+                    successor.start()
+                    for p in pending:
+                        need(p.result(120).tobytes() == want, f"other bytes after signal {how}")
+                    successor.join()
+                    if how == signal.SIGKILL:
+                        need(all(p._request.resent == 1 for p in pending[1:]), "nothing was sent again")
+                    c.status(60)
+                self.shown_once(own, c)
+        finally:
+            own.stop()
+
+    def no_memory(self, own: Daemon, c: airy.Client) -> None:
+        """The daemon has no address space left for the payload; then it has, and the same request is served."""
+        pid = own.process.pid
+        c.status(30)
+        size = int(re.search(r"VmSize:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())[1]) * 1024  # type: ignore[index]
+        old = resource.prlimit(pid, resource.RLIMIT_AS)
+        big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+        resource.prlimit(pid, resource.RLIMIT_AS, (size + (8 << 20), old[1]))
+        try:
+            e = raises(airy.errors.NoMemory, lambda: c.bloom(big, via="inline"))
+        finally:
+            resource.prlimit(pid, resource.RLIMIT_AS, old)
+        need(e.retryable and e.field == "input.size", f"says {e!r}")
+        c.bloom(big, via="inline", timeout=120)
+
+    def shown_once(self, own: Daemon, c: airy.Client) -> None:
+        """A frame that was to be shown, and a wall, go with their daemon."""
+        c.wall_open(WALL)
+        c.show(self.raw, "sign")
+        own.process.send_signal(signal.SIGSTOP)
+        shown = c.submit(self.raw, wall="sign", output="wall")
+        drive = c.submit(self.raw, wall="sign")
+        own.kill()
+        own.start()
+        need(shown.exception(120).retryable, "not retryable")
+        equal(type(shown.exception()), airy.ConnectionLost, "the shown frame's end")
+        equal(type(drive.exception(120)), airy.errors.NoWall, "the drive's end")
+        c.wall_open(WALL, timeout=60)
+
+    def turns(self) -> None:
+        """Who has waited too long is told so; who is more urgent has the next turn."""
+        big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
+        pending = [self.client.submit(big, priority=-5) for _ in range(5)]
+        late = self.client.submit(self.raw, deadline_ms=1, priority=-10)
+        urgent = self.client.submit(self.raw, priority=10)
+        urgent.result(120)
+        need(not pending[-1].done(), "a frame of priority 10 came after all of -5")
+        e = late.exception(120)
+        equal(type(e), airy.errors.DeadlineExceeded, "the late one's end")
+        for p in pending:
+            p.result(120)
+
+    def wall(self) -> None:
+        np = numpy()
+        with airy.Client(self.daemon.path) as c:
+            path = self.work / "sign.yaml"
+            path.write_text(WALL)
+            state = c.wall_open(path)
+            half = np.frombuffer(self.payloads["half_rgb"], "<f2").reshape(72, 128, 3)
+            for output in ("inline", "memfd"):
+                r = c.bloom(half, wall="sign", output=output, bloom=False)
+                equal((r.array.shape, r.array.dtype), ((state.height, state.width, 3), np.dtype("<f4")), "the drive")
+                mean = half.astype(np.float32).reshape(4, 18, 8, 16, 3).mean((1, 3))
+                need(np.allclose(r.array, mean, rtol=2e-3), f"the drive is off by {np.abs(r.array - mean).max()}")
+            whole, r = c.bloom(half, wall="sign", psf=PSF), c.plan(half, wall="sign")
+            equal((r.data, r.need.width, r.need.height), (None, 128, 72), "the plan's need")
+            part = c.bloom(half, wall="sign", psf=PSF, part_of=airy.Part(128, 72, 0, 0))
+            need(np.array_equal(whole.array, part.array), "a part that is the whole gives another drive")
+            c.show(half, "sign", bloom=False, present_ns=time.monotonic_ns())
+            end = time.monotonic() + 30
+            while c.wall_preview("sign").array.max() == 0 and time.monotonic() < end:
+                time.sleep(0.02)
+            need(c.wall_preview("sign").array.shape == (4, 8, 3) and c.wall_preview("sign").array.max() > 0, "nothing is on the wall")
+            for call, field in (
+                (lambda: c.bloom(half, output="wall"), "output"),
+                (lambda: c.bloom(half, present_ns=1), "present_ns"),
+                (lambda: c.bloom(half, wall=""), "wall"),
+                (lambda: c.bloom(half, wall="sign", present_ns=-1), "present_ns"),
+                (lambda: c.bloom(half, priority="high"), "priority"),
+                (lambda: c.wall_open(self.work / "none.yaml"), "definition"),
+                (lambda: c.wall_open("#" * 70000), "definition"),
+                (lambda: c.wall_open(b"wall: x"), "definition"),  # type: ignore[arg-type]
+            ):
+                equal(raises(airy.InvalidRequest, call).field, field, "field")
+
+    async def aio_wall(self) -> None:
+        async with airy.aio.Client(self.daemon.path) as c:
+            equal((await c.wall_open(WALL)).leds, 32, "LEDs")
+            equal(len((await c.bloom(self.raw, wall="sign")).tobytes()), 8 * 4 * 12, "the drive's bytes")
+            await c.show(self.raw, "sign")
+            equal((await c.plan(self.raw, wall="sign")).need.width, 128, "the plan's need")
+            equal([w.name for w in (await c.wall_list("sign")).walls], ["sign"], "walls")
+            await c.wall_pattern("sign", "red")
+            equal(len((await c.wall_preview("sign")).data), 8 * 4 * 3, "the preview's bytes")
+            await c.wall_close("sign")
+            try:
+                await c.bloom(self.raw, wall="sign")
+                raise AssertionError("NO_WALL expected")
+            except airy.errors.NoWall:
+                pass
+
+    async def aio_again(self) -> None:
+        own = await asyncio.to_thread(lambda: Daemon(self.work, "aio-again", "--warm", "common").wait_ready())
+        try:
+            async with airy.aio.Client(own.path, reconnect=120) as c:
+                want = (await c.bloom(self.raw, psf=PSF)).tobytes()
+                own.process.send_signal(signal.SIGSTOP)
+                frames = [asyncio.create_task(c.bloom(self.raw, psf=PSF, via=v)) for v in ("inline", "memfd")]
+                status = asyncio.create_task(c.status(120))
+                await asyncio.sleep(0.1)
+                await asyncio.to_thread(own.kill)
+                await asyncio.sleep(0.1)
+                later = asyncio.create_task(c.bloom(self.raw, psf=PSF))
+                own.start()
+                for r in await asyncio.gather(*frames, later):
+                    need(r.tobytes() == want, "other bytes after the restart")
+                await status
+        finally:
+            await asyncio.to_thread(own.stop)
 
     def draining(self) -> None:
         """A daemon that stops says so to an upload that is half done."""
@@ -390,7 +546,7 @@ class Live:
     async def aio_restart(self) -> None:
         own = await asyncio.to_thread(lambda: Daemon(self.work, "aio", "--warm", "common").wait_ready())
         try:
-            async with airy.aio.Client(own.path, timeout=30) as c:
+            async with airy.aio.Client(own.path, reconnect=0) as c:
                 big = airy.Raw(self.payloads["half_4k"], 3840, 2160)
                 pending = await c.submit(big)
                 await asyncio.to_thread(own.kill)
@@ -448,6 +604,11 @@ def tests(tap: Tap, work: Path) -> None:
         tap.run("a slow reader costs only itself", live.slow_reader)
         tap.run("a daemon that stops says so to a half upload", live.draining)
         tap.run("kill and stop of the daemon, and its restart", live.restart)
+        tap.run("a wall: drives as arrays, frames shown", live.wall)
+        tap.run("turns and deadlines", live.turns)
+        tap.run("no memory; a daemon killed or stopped amid frames, and another", live.again)
+        tap.run("asyncio: walls", lambda: asyncio.run(live.aio_wall()))
+        tap.run("asyncio: a daemon killed amid frames, and another", lambda: asyncio.run(live.aio_again()))
         tap.run("asyncio: every verb", lambda: asyncio.run(live.aio()))
         tap.run("asyncio: cancelled tasks", lambda: asyncio.run(live.aio_cancel()))
         tap.run("asyncio: a restart", lambda: asyncio.run(live.aio_restart()))

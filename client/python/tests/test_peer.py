@@ -9,7 +9,10 @@ import gc
 import json
 import os
 import random
+import re
 import socket
+import struct
+import tempfile
 import threading
 from pathlib import Path
 from typing import Any, Callable, Optional
@@ -26,7 +29,7 @@ LIMITS = pb.Limits(
     max_frame_bytes=1 << 20, max_width=64, max_height=64, max_pixels=4096, credit_bytes=1 << 20, max_requests=4,
     max_body_bytes=1 << 20,
 )
-FEATURES = ["exr", "raw", "inline", "memfd", "file", "buffer", "progress", "asset", "plan"]
+FEATURES = ["exr", "raw", "inline", "memfd", "file", "buffer", "progress", "asset", "plan", "wall"]
 WELCOME = _wire.pack(Type.WELCOME, 0, pb.Welcome(version=1, server="peer", features=FEATURES, limits=LIMITS))
 RAW = airy.Raw(bytes(6), 1, 1)
 Script = Callable[[socket.socket], None]
@@ -112,18 +115,19 @@ def against(script: Script, verb: Callable[[airy.Client], Any]) -> Any:
                 ours.close()
         thread.join(10)
         need(not thread.is_alive(), "the peer waits for ever")
-    equal(repr(says[0]), repr(says[1]), "what the asyncio client says")
+    one, other = (re.sub("memory at 0x[0-9a-f]+", "memory", repr(said)) for said in says)
+    equal(one, other, "what the asyncio client says")
     return says[0]
 
 
 def _blocking(verb: Callable[[Any], Any]) -> Any:
-    with airy.Client("peer", timeout=5) as c:
+    with airy.Client("peer", timeout=5, reconnect=0) as c:
         return verb(c)
 
 
 def _asyncio(verb: Callable[[Any], Any]) -> Any:
     async def use() -> Any:
-        async with airy.aio.Client("peer", timeout=5) as c:
+        async with airy.aio.Client("peer", timeout=5, reconnect=0) as c:
             return await asyncio.wait_for(verb(c), 10)
 
     return asyncio.run(use())
@@ -185,6 +189,92 @@ def _lie(script: Script, output: str, text: str) -> None:
     need(text in str(e), f"\"{text}\" is not in: {e}")
 
 
+def wall_lies() -> None:
+    """What is no answer to a question about walls."""
+    state = pb.WallState(name="w", width=2, height=1)
+    reply = lambda *w, **k: _wire.pack(Type.WALL_REPLY, 1, pb.WallReply(walls=w, **k))
+    data = lambda n: _wire.encode(Type.DATA, 1, n) + bytes(n)
+    inline = lambda n: pb.Payload(kind=pb.Payload.INLINE, size=n)
+    preview = lambda c: c.wall_preview("w")
+    for parts, verb, text in (
+        ([reply(state)], preview, "0 came"),
+        ([data(5), reply(state, preview=inline(5))], preview, "5 came"),
+        ([data(6), reply(state, preview=inline(7))], preview, "6 came"),
+        ([data(6), reply(preview=inline(6))], preview, "0 walls"),
+        ([data(1 << 20)] * 3 + [data(1)], preview, "more DATA"),
+        ([data(6)], lambda c: c.wall_list(), "may not come"),
+        ([reply(state, preview=inline(6))], lambda c: c.wall_list(), "none was asked for"),
+        ([reply(state, state)], lambda c: c.wall_open("wall: w"), "2 walls"),
+        ([_wire.pack(Type.STATUS_REPLY, 1, pb.StatusReply())], lambda c: c.wall_list(), "may not come"),
+        ([_wire.pack(Type.WALL_REPLY, 9, pb.WallReply())], lambda c: c.wall_list(), "may not come"),
+    ):
+        e = against(answers(*parts), verb)
+        need(type(e) is airy.errors.PeerFault and text in str(e), f"\"{text}\" is not in: {e!r}")
+    good = answers(data(4), data(2), reply(state, preview=inline(6)))
+    equal(against(good, preview).data, bytes(6), "a good preview")
+    # A drive that is not its wall's, and one that is.
+    for size in (24, 23):
+        picture = _wire.encode(Type.DATA, 2, size) + bytes(size)
+        parts = [reply(state), picture, _wire.pack(Type.RESULT, 2, result(pb.Payload.INLINE, size=size))]
+        got = against(answers(*parts), lambda c: c.bloom(RAW, via="memfd", output="inline", wall="w"))
+        if size == 24:
+            equal(got.shape.shape, (1, 2, 3), "the drive's shape")
+        else:
+            need(type(got) is airy.errors.PeerFault and "expected 24" in str(got), f"a drive of 23 bytes: {got!r}")
+
+
+def resends() -> None:
+    """A frame that ends its daemon is sent four times, and no more; one that is shown, once; and time is up when it is."""
+    with tempfile.TemporaryDirectory(prefix="airy-peer-") as folder:
+        path, asked = f"{folder}/s", [0]
+        with socket.socket(socket.AF_UNIX) as listener:
+            listener.bind(path)
+            listener.listen(8)
+
+            def serve() -> None:
+                while True:
+                    try:
+                        s, _ = listener.accept()
+                    except OSError:
+                        return
+                    with s:
+                        take(s)
+                        send(s, WELCOME)
+                        try:
+                            take(s)
+                            asked[0] += 1
+                        except (OSError, struct.error):
+                            pass
+
+            thread = threading.Thread(target=serve, daemon=True)
+            thread.start()
+
+            def counts(verb: Callable[[Any], Any], want: int) -> None:
+                asked[0] = 0
+                with airy.Client(path, reconnect=60) as c:
+                    e = raises(airy.ConnectionLost, lambda: verb(c))
+                    equal((asked[0], e.retryable), (want, True), "times that it was sent")
+
+                async def use() -> None:
+                    async with airy.aio.Client(path, reconnect=60) as c:
+                        await verb(c)
+
+                asked[0] = 0
+                raises(airy.ConnectionLost, lambda: asyncio.run(use()))
+                equal(asked[0], want, "times that the asyncio client sent it")
+
+            counts(lambda c: bloom(c), 1 + _engine.RESENDS)
+            counts(lambda c: c.show(RAW, "w"), 1)
+            counts(lambda c: c.wall_list(), 1 + _engine.RESENDS)
+            counts(lambda c: c.wall_open("wall: w"), 1)
+            with airy.Client(path, reconnect=0.2) as c:
+                listener.shutdown(socket.SHUT_RDWR)
+                listener.close()
+                e = raises(airy.NoDaemon, lambda: bloom(c))
+                need(e.retryable and path in str(e), f"says {e}")
+            thread.join(10)
+
+
 def greetings() -> None:
     def first(*parts: bytes, fds: Optional[Callable[[], list[int]]] = None) -> Script:
         def script(s: socket.socket) -> None:
@@ -234,6 +324,12 @@ def endings() -> None:
         lambda c: bloom(c, "inline"),
     )
     equal((type(e), e.code, e.symbol, e.retryable), (airy.DaemonError, 999, "NEW", True), "an unknown code")
+    # What no client can cause from outside: a fault in the daemon, a lost device.
+    for cls in (airy.errors.NoMemory, airy.errors.InternalError, airy.errors.DeviceLost):
+        retryable = cls is not airy.errors.InternalError
+        said = pb.Error(code=cls.code, symbol=cls.symbol, text="it is so", retryable=retryable)
+        e = against(hangs_up(_wire.pack(Type.ERROR, 1, said)), lambda c: bloom(c, "inline"))
+        equal((type(e), e.symbol, e.retryable), (cls, cls.symbol, retryable), f"code {cls.code}")
     whole = _wire.pack(Type.CREDIT, 0, pb.Credit(bytes=2**64 - 1)) + data
     whole += _wire.pack(Type.PROGRESS, 55, pb.Progress(stage="?")) + _wire.pack(Type.RESULT, 1, result(pb.Payload.INLINE, size=4))
     equal(against(hangs_up(whole), pixels), b"abcd", "what came before the end")
@@ -303,6 +399,8 @@ def noise() -> None:
 def tests(tap: Tap, _: Path) -> None:
     before = open_fds()
     lies(tap)
+    tap.run("answers about walls that are none", wall_lies)
+    tap.run("how often and for how long something is sent again", resends)
     tap.run("greetings that are none", greetings)
     tap.run("streams that end too early, codes that are new", endings)
     tap.run("300 ways to cut a good stream", pieces)
