@@ -74,6 +74,7 @@ help:
 	@echo "make check-usb  the wall against a real kernel's USB in QEMU (optional; downloads Debian's kernel, minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"
 	@echo "make fuzz     hostile input at every reader for MINUTES=30 (FUZZ=\"exr wall\": only these)"
+	@echo "make vectors  write proto/vectors anew, the golden messages, after a change of airy.proto or tests/tools/make_vectors*.c"
 	@echo "make farm-test  the Slurm script under a real Slurm of one node: installs slurm-wlm and munge (not part of check), needs root"
 	@echo "make install  to PREFIX (default /usr/local), DESTDIR honoured"
 	@echo "make deb      a Debian package of it -> build/airyd_VERSION_ARCH.deb"

@@ -179,7 +179,8 @@ static void help_top(void)
     puts("airy top [--socket PATH] [--once] [--json]\n"
          "\n"
          "Once a second: users with what they have in the daemon and their share of the device, the queue,\n"
-         "memory against its ceiling, the times of the stages, the walls. Ctrl-C ends it.\n"
+         "memory against its ceiling, the times of the stages, the walls. On a terminal it is drawn over; q or\n"
+         "ctrl-C ends it. A daemon that goes away is waited for.\n"
          "\n"
          "Exit status: 0 stopped, or --once answered; 5 none answers; 2 usage.");
 }

@@ -17,9 +17,12 @@ static volatile sig_atomic_t asked;
 static struct sigaction before[N_STOPPING];
 static const char *restore;
 static size_t restore_bytes;
+static const struct termios *volatile restore_terminal;
 
 static void last(int signal)
 {
+    if (restore_terminal)
+        tcsetattr(STDIN_FILENO, TCSANOW, restore_terminal);
     if (restore_bytes && write(STDOUT_FILENO, restore, restore_bytes) < 0)
         _exit(128 + signal);
     for (unsigned i = 0; i < N_STOPPING; i++)
@@ -51,6 +54,8 @@ void stop_restore(const char *text)
     restore = text;
     restore_bytes = text ? strlen(text) : 0;
 }
+
+void stop_restore_terminal(const struct termios *t) { restore_terminal = t; }
 
 uint64_t stop_now_ns(void)
 {

@@ -56,6 +56,16 @@ $(T)/usb_probe: $(T)/usb_probe.o $(BUILD)/wall.a $(BUILD)/proto.a
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_WALL) -lprotobuf-c
 
+# The golden messages, written anew; tests/test_vectors.sh says when the committed ones are others.
+VECTORS_TOOL := $(addprefix $(T)/tools/,make_vectors.o make_vectors_stamp.o make_vectors_turns.o make_vectors_wall.o)
+$(T)/make_vectors: $(VECTORS_TOOL) $(BUILD)/params.a $(BUILD)/proto.a
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) -lm
+.PHONY: vectors
+vectors: $(T)/make_vectors
+	@rm -f proto/vectors/*.hex proto/vectors/*.json
+	@$(T)/make_vectors proto/vectors
+
 # The same boards on a real kernel, in a machine of its own: slow, optional, no part of check.
 $(T)/usb_vhci_guest: $(T)/usb_vhci_guest.o $(T)/usb_vhci.o $(T)/usb_vhci_drive.o $(T)/usb_kit_model.o $(T)/daemon_fixture.o $(ARCHIVES)
 	$(call say,LD $@)
@@ -69,7 +79,7 @@ $(TESTS): $(T)/%: $(T)/%.o $(ARCHIVES)
 	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(TEST_LIBS)
 
 .PHONY: tests check-built check
-tests: $(TESTS)
+tests: $(TESTS) $(T)/make_vectors
 
 # A make of its own, so that what deps has just installed is found; variants share nothing but the sources.
 check: deps

@@ -13,7 +13,7 @@ $(T)/fuzz/fuzz_frames: $(BUILD)/client/frames.o
 
 # The parsers of replies are the target: the bus under them answers from the input.
 $(T)/fuzz/fuzz_panel: LDFLAGS += -Wl,--wrap=libusb_control_transfer,--wrap=libusb_bulk_transfer
-$(T)/fuzz/fuzz_body: LDFLAGS += -Wl,--wrap=usb_create
+$(T)/fuzz/fuzz_body $(T)/fuzz/fuzz_client: LDFLAGS += -Wl,--wrap=usb_create
 
 $(FUZZ_TARGETS): $(T)/fuzz/%: $(T)/fuzz/%.o $(ARCHIVES)
 	$(call say,LD $@)

@@ -8,13 +8,17 @@ BUILD=${BUILD:-build} MINUTES=${MINUTES:-30} jobs=2
 found=$BUILD/fuzz/found logs=$BUILD/fuzz/logs
 mkdir -p "$found" "$logs"
 export UBSAN_OPTIONS=halt_on_error=1:print_stacktrace=1
+# The one with a device: what its driver keeps is known, and the loader shall not unload it before leaks are looked for.
+device="env LSAN_OPTIONS=suppressions=tests/lsan.supp:print_suppressions=0 ASAN_OPTIONS=verify_asan_link_order=0 LD_PRELOAD=libvulkan_lvp.so"
 seconds=$((MINUTES * 60 * jobs / $#))
 [ "$seconds" -gt 0 ] || seconds=1
 
 one() {
     corpus=$BUILD/fuzz/corpus/$1
     mkdir -p "$corpus" "tests/fuzz/regressions/$1"
-    nice -n 19 "$BUILD/fuzz/obj/tests/fuzz/fuzz_$1" -max_total_time="$seconds" -timeout=20 -rss_limit_mb=1024 -max_len=65536 \
+    with=
+    [ "$1" = client ] && with=$device
+    nice -n 19 $with "$BUILD/fuzz/obj/tests/fuzz/fuzz_$1" -max_total_time="$seconds" -timeout=20 -rss_limit_mb=1024 -max_len=65536 \
         -print_final_stats=1 -artifact_prefix="$found/$1-" "$corpus" "$BUILD/fuzz/seeds/$1" "tests/fuzz/regressions/$1" \
         >"$logs/$1.log" 2>&1
     status=$?

@@ -158,6 +158,16 @@ static void write_vector(const char *folder, const char *file)
     seed_number(&conn, from_client ? 1 : 2, 1);
     seed_message(&conn, m, n, false);
     seed_write("conn", file, &conn);
+    if (from_client) { // after a HELLO, and then its end is waited for
+        uint8_t hello[256];
+        const size_t hello_bytes = read_hex("proto/vectors/hello.hex", hello, sizeof(hello));
+        conn.size = 0;
+        seed_number(&conn, 1, 1);
+        seed_message(&conn, hello, hello_bytes, false);
+        seed_message(&conn, m, n, false);
+        seed_number(&conn, 3 | 1 << 2, 1);
+        seed_write("client", file, &conn);
+    }
     seed_body(file, m, n);
     seed_number(&lib, 1, 1); // a welcome, then a submit, a status and a question about walls, then this
     seed_add(&lib, "\x14\x34\x05\x06\x16", 5);

@@ -263,6 +263,8 @@ static void write_seeds(void)
         seed_number(&s, who == FROM_CLIENT ? 1 : 2, 1);
         seed_add(&s, steps[who].bytes, steps[who].size);
         seed_write("conn", names[who], &s);
+        if (who == FROM_CLIENT)
+            seed_write("client", names[who], &s);
         for (unsigned i = 0; (m = next_message(&stream[who], &at, &n)); i++) {
             snprintf(name, sizeof(name), "%s%u", names[who], i);
             seed_body(name, m, n);

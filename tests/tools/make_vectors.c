@@ -736,6 +736,7 @@ static void all_vectors(each_vector each, void *ctx)
     asset_vectors(each, ctx);
     wall_vectors(each, ctx);
     turn_vectors(each, ctx);
+    stamp_vectors(each, ctx);
     bad_vectors(each, ctx);
 }
 

@@ -24,6 +24,8 @@ typedef void (*each_vector)(const struct vector *v, void *ctx); // the one callb
 
 /* make_vectors_turns.c: turns, users, memory. */
 void turn_vectors(each_vector each, void *ctx);
+/* make_vectors_stamp.c: what is done already. */
+void stamp_vectors(each_vector each, void *ctx);
 /* make_vectors_wall.c: WALL, its answers, and frames for walls. */
 void wall_vectors(each_vector each, void *ctx);
 
