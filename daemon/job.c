@@ -535,7 +535,7 @@ static int write_block(void *ctx, const void *data, size_t len)
 {
     struct payload *p = ctx;
     if (len > p->block->bytes - p->size)
-        return -ENOSPC;
+        return -EOVERFLOW;
     memcpy(p->block->data + p->size, data, len);
     p->size += len;
     return 0;

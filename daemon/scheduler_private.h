@@ -13,7 +13,7 @@
 
 struct sched_user {
     uid_t uid;
-    unsigned flows_open, requests, fds; /* fds: of requests */
+    unsigned flows_open, requests, fds; /* fds: of requests, and of results that are not yet sent */
     unsigned queued, running;           /* jobs of frames; running: had a turn, not yet done */
     uint64_t inline_bytes, work;
     double device_ms;                   /* used so far, walls' included */
@@ -78,6 +78,7 @@ struct sched {
         uint64_t load, work, work_peak;
         bool keeping; /* an image that is to be kept is decoded: one at a time */
     } room;
+    unsigned fds;                   /* of all users, connections included */
     TAILQ_HEAD(, sched_user) users; /* served longest ago first */
     double virtual_ms, ms_per_unit; /* virtual_ms: what the user served last had then */
     unsigned deadlines;             /* jobs that wait with one */

@@ -84,7 +84,7 @@ static void open_world(struct world *w, unsigned slots, int lost_from, int lost_
     w->env = (struct job_env){ .limits = { .max_frame_bytes = 1 << 30 }, .blocks = &w->blocks };
     const uint64_t plenty = UINT64_C(1) << 40;
     struct sched_config config = { .threads = 2, .slots = slots, .warm_idle = warm_idle, .log = count_line };
-    config.limits = (struct sched_limits){ work_bytes ? work_bytes : plenty, plenty, plenty, plenty, 10000 };
+    config.limits = (struct sched_limits){ work_bytes ? work_bytes : plenty, plenty, plenty, plenty, 10000, 10000, 10000 };
     struct fault f;
     if (sched_create(&w->sched, &config, &f) < 0)
         fail_msg("%s", f.text);
