@@ -641,3 +641,15 @@ void job_rewind(struct job *j)
     if (j->wall)
         job_wall_rewind(j);
 }
+
+void job_unload(struct job *j)
+{
+    struct payload *p = &j->input;
+    job_rewind(j);
+    j->ms.load = j->ms.decode = 0;
+    if (p->kind == PAYLOAD_INLINE || !p->block)
+        return;
+    block_give(j->env->blocks, p->block);
+    p->block = NULL;
+    p->data = NULL;
+}

@@ -111,6 +111,7 @@ void fair_remove(struct job *j); /* without a turn */
 /* Whose turn it is, of the users whose first job `may`; NULL: nobody's. */
 struct job *fair_first(struct sched *s, bool (*may)(struct sched *s, const struct job *j));
 void fair_take(struct sched *s, struct job *j);
+void fair_return(struct job *j); /* taken, and back in its place as if it never were */
 void fair_leave_flow(struct job *j); /* its connection is forgotten */
 void fair_settle(struct sched *s, struct job *j); /* it is done */
 
@@ -118,10 +119,11 @@ void fair_settle(struct sched *s, struct job *j); /* it is done */
 void users_finish(struct sched *s);
 
 /* scheduler_room.c */
-enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_NEVER };
+/* USER: its user has too much at work already; it may come again with what it needs known (job.work_known). */
+enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_USER, ROOM_NEVER };
 bool room_may_turn(struct sched *s, const struct job *j);
 void room_turn(struct sched *s, struct job *j);
-/* A slot and all the memory for an opened job; nothing on WAIT and NEVER. */
+/* A slot and all the memory for an opened job; nothing on WAIT, USER and NEVER. */
 enum room_verdict room_take(struct sched_lane *l, struct job *j);
 void room_give(struct sched *s, struct job *j, uint64_t keep); /* all but so much of its work */
 /* What the device thread is to free: a bit a slot, and the levels. */

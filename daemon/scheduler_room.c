@@ -7,6 +7,9 @@
  * while one is parked nobody else gets a turn. A load is never held by what waits for another load, nor work by what waits for work, so whoever
  * has work ends and gives it back: nothing waits for ever. What could not fit into an empty daemon is LIMIT.
  *
+ * What of work is a user's is held to the user's share in the same place. Who comes to that limit does not park, for others would wait behind
+ * it, perhaps for results that its client does not read: it goes back into its line with nothing held, and is opened again when there is room.
+ *
  * Planes and levels stay with their slot and lane after the job, for the next frame of that size; without room for another size the
  * device thread frees those of idle slots first.
  *
@@ -79,8 +82,10 @@ void room_give(struct sched *s, struct job *j, uint64_t keep)
         job_sub(s, j, j->work_held - keep);
     else // an output that is larger than was thought: it is there
         job_add(s, j, keep - j->work_held);
-    if (more)
-        sched_room_freed(s);
+    if (!more)
+        return;
+    sched_room_freed(s);
+    pthread_cond_broadcast(&s->pool_wake); // a user's turn may have waited for this
 }
 
 // ---- a turn: the payload -----------------------------------------------------------------------------
@@ -97,7 +102,7 @@ bool room_may_turn(struct sched *s, const struct job *j)
     if (j->kind == JOB_KEEPS && s->room.keeping)
         return false;
     // One at a time goes beyond what a user may have: a frame that fits the daemon is done.
-    if (u->work && u->work >= s->limits.user_work_bytes)
+    if (u->work && (u->work >= s->limits.user_work_bytes || u->work + j->work_known > s->limits.user_work_bytes))
         return false;
     return !s->room.load || s->room.load + load_of(j) <= s->limits.load_bytes;
 }
@@ -246,6 +251,11 @@ enum room_verdict room_take(struct sched_lane *l, struct job *j)
     struct want w;
     bool fits;
     want_of(j, &w);
+    j->work_known = w.work;
+    // Several may have had their turn before the first was opened and its size known.
+    const uint64_t others = j->user ? j->user->work - j->work_held : 0;
+    if (l->name == LANE_FRAMES && others && others + w.work > s->limits.user_work_bytes)
+        return w.planes + w.scratch + w.work > s->limits.work_bytes ? ROOM_NEVER : ROOM_USER;
     struct sched_slot *slot = slot_choose(l, &w, &fits);
     if (!slot)
         return ROOM_WAIT;
