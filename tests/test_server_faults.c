@@ -327,7 +327,9 @@ static pid_t shrink_for_ever(int fd, uint64_t bytes, const uint8_t *content)
 {
     pid_t child = fork();
     assert_true(child >= 0);
-    for (uint32_t seed = 1; child == 0; seed = seed * 1664525u + 1013904223u) {
+    if (child)
+        return child;
+    for (uint32_t seed = 1;; seed = seed * 1664525u + 1013904223u) {
         usleep(seed % 12000);
         if (ftruncate(fd, (off_t)((seed >> 8) % bytes)) < 0)
             _exit(1);
@@ -335,7 +337,6 @@ static pid_t shrink_for_ever(int fd, uint64_t bytes, const uint8_t *content)
         if (pwrite(fd, content, bytes, 0) != (ssize_t)bytes)
             _exit(1);
     }
-    return child;
 }
 
 static void test_file_shrinks(void **state)
@@ -381,6 +382,13 @@ static void test_file_shrinks(void **state)
     picture_free(&p);
 }
 
+static void __attribute__((noreturn)) make_holes(int fd, off_t bytes)
+{
+    for (off_t at = 0;; at = (at + 77 * 4096) % bytes)
+        if (fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, at, 64 * 4096) < 0)
+            _exit(1);
+}
+
 // Holes are made in a memfd that cannot shrink, while it is read and written to.
 static void test_memfd_with_holes(void **state)
 {
@@ -393,9 +401,8 @@ static void test_memfd_with_holes(void **state)
     int fd = make_memfd(bytes, BYTES, F_SEAL_SHRINK);
     pid_t child = fork();
     assert_true(child >= 0);
-    for (off_t at = 0; child == 0; at = (at + 77 * 4096) % BYTES)
-        if (fallocate(fd, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, at, 64 * 4096) < 0)
-            _exit(1);
+    if (!child)
+        make_holes(fd, BYTES);
     peer_hello(&p, &the_daemon);
     ask_raw(&q, AIRY__PAYLOAD__KIND__MEMFD, AIRY__OUTPUT__KIND__BUFFER, BIG);
     q.output.fd = 1;
