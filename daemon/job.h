@@ -191,6 +191,8 @@ unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS
 uint64_t job_work_bytes(const struct job *j);
 /* After OPEN: the attribute that the output file has; "" when it has none. The job's. */
 const char *job_stamp(const struct job *j);
+/* After OPEN: what the engine will keep for it beside its planes, at most; threads: the engine's. */
+void job_keep_bytes(const struct job *j, unsigned threads, uint64_t bytes[BLOOM_KEEPS]);
 /* Hands the planes of the job's slot to the decoder and encoder. */
 void job_bind(struct job *j, const struct planes *in, const struct planes *out);
 /* PLAN and BLOOM, all scenes. */

@@ -30,7 +30,7 @@ struct sched_slot {
      * Not prepared: the planes are from before, whoever asked for the geometry may have been cancelled. */
     bool prepared;
     bool drop;               /* its planes are to be freed: nobody takes it */
-    uint64_t bytes, scratch; /* of its planes; of the engine's levels for its job */
+    uint64_t bytes, keep[BLOOM_KEEPS]; /* of its planes; of what the engine keeps for its job */
     unsigned count;
     struct bloom_geometry geometry[BLOOM_TARGETS_MAX];
     struct planes in[BLOOM_TARGETS_MAX], out[BLOOM_TARGETS_MAX * BLOOM_OUTPUTS_MAX];
@@ -55,8 +55,8 @@ struct sched_lane {
     unsigned admitted;                  /* between OPEN and the end of ENCODE: at most `slots` */
     unsigned claimed;                   /* tasks that threads of the pool are at, of admitted jobs */
     struct job_queue parked;            /* of frames: admitted and opened, without room */
-    uint64_t scratch;                   /* bytes of the engine's levels */
-    bool drop_scratch;
+    uint64_t keep[BLOOM_KEEPS];         /* bytes of what the engine keeps beside planes */
+    bool drop_keep;
     bool hold;                          /* nothing but FINISH is claimed */
     bool dead;                          /* its device is lost, and could not be had again */
     unsigned slots;
@@ -121,15 +121,16 @@ void users_finish(struct sched *s);
 /* scheduler_room.c */
 /* USER: its user has too much at work already; it may come again with what it needs known (job.work_known). */
 enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_USER, ROOM_NEVER };
+uint64_t room_planes_bytes(unsigned count, const struct bloom_geometry *g); /* of a slot */
 bool room_may_turn(struct sched *s, const struct job *j);
 void room_turn(struct sched *s, struct job *j);
 /* A slot and all the memory for an opened job; nothing on WAIT, USER and NEVER. */
 enum room_verdict room_take(struct sched_lane *l, struct job *j);
 void room_give(struct sched *s, struct job *j, uint64_t keep); /* all but so much of its work */
-/* What the device thread is to free: a bit a slot, and the levels. */
+/* What the device thread is to free: a bit a slot, and what it keeps beside planes. */
 bool room_drops(const struct sched_lane *l);
-unsigned room_drop_begin(const struct sched_lane *l, bool *scratch);
-void room_drop_end(struct sched_lane *l, unsigned mask, bool scratch);
+unsigned room_drop_begin(const struct sched_lane *l, bool *keep);
+void room_drop_end(struct sched_lane *l, unsigned mask, bool keep);
 void room_lost(struct sched_lane *l); /* the device is gone */
 
 /* scheduler_threads.c */

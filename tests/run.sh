@@ -55,7 +55,7 @@ many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
 pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
     frames output exr exr_layers exr_grow exr_bad raw machine asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
     server_faults server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
-device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched server_memory wall_engine"
+device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched room server_memory wall_engine"
 usb="panel panel_gud usb usb_faults usb_daemon"
 
 # Three lanes: what draws with many pipelines in one process, for the driver compiles shaders on one core; what waits most of its time,
