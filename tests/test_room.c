@@ -27,7 +27,7 @@ static _Atomic int64_t now_bytes, peak_bytes;
 
 static void count(int64_t bytes)
 {
-    const int64_t now = now_bytes += bytes;
+    const int64_t now = atomic_fetch_add(&now_bytes, bytes) + bytes;
     int64_t peak = peak_bytes;
     while (now > peak && !atomic_compare_exchange_weak(&peak_bytes, &peak, now))
         ;
