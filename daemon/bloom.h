@@ -80,7 +80,7 @@ int bloom_slot_prepare(struct bloom *b, struct bloom_slot *s, unsigned count,
 
 /* Gives the slot's memory back; its planes are gone until it is prepared again. On the device thread. */
 void bloom_slot_release(struct bloom *b, struct bloom_slot *s);
-/* Gives back the memory of the levels, which all slots share: the next frame makes them again. On the device thread. */
+/* Gives back what is kept between frames and shared by all slots (enum bloom_keep): the next frame makes it again. On the device thread. */
 void bloom_levels_release(struct bloom *b);
 
 /* An image that a request names by digest: lens dirt, or a kernel. Plain rows of interleaved R G B floats,
@@ -142,6 +142,22 @@ bool bloom_wall_is_direct(const struct params *p);
  * of it. Never empty. display_width: as in struct bloom_request, of the frame. On the device thread. 0, or -1 and *f. */
 int bloom_wall_need(struct bloom *b, const struct params *p, float pixel_aspect, unsigned channels, uint32_t display_width,
                     const struct bloom_wall *w, int32_t need[4] /* x0, y0, x1, y1 */, struct fault *f);
+
+/* What stays from frame to frame beside planes, each kind as large as its largest frame. */
+enum bloom_keep { BLOOM_KEEP_LEVELS, BLOOM_KEEP_KERNEL, BLOOM_KEEP_LOOK, BLOOM_KEEP_DIRT, BLOOM_KEEPS };
+struct bloom_keep_facts {
+    const struct params *params;
+    double pixel_aspect;
+    uint32_t display_width;          /* as in struct bloom_request */
+    bool matte;
+    const struct bloom_image *dirt, *kernel; /* NULL: none */
+    unsigned threads;                /* options.threads */
+};
+/* Never less than what edge=fill puts around the picture on each side, pixels; part of the below. */
+uint64_t bloom_pad_most(const struct bloom_keep_facts *k, const struct bloom_geometry *g);
+/* Never less than what bloom_run will have allocated of each kind for such targets (not of walls), its host's memory included. Pure: may be
+ * asked on any thread. */
+void bloom_keep_bytes(const struct bloom_keep_facts *k, unsigned count, const struct bloom_geometry *g, uint64_t bytes[BLOOM_KEEPS]);
 
 struct bloom_request {
     const struct params *params;

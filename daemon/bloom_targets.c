@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "bloom_internal.h"
+#include "look.h"
 
 enum { PLACES_MAX = BLOOM_TARGETS_MAX * (VK_PLANES + BLOOM_OUTPUTS_MAX * LEVEL_PHASES) };
 
@@ -269,6 +270,14 @@ void bloom_slot_release(struct bloom *b, struct bloom_slot *s) { slot_destroy(&b
 void bloom_levels_release(struct bloom *b)
 {
     fft_destroy(b);
+    ledger_clear(&b->ledger);
+    b->prepared = NULL;
+    vk_buffer_free(&b->vk, &b->ledger.buffer);
     targets_destroy(&b->vk, &b->targets);
     vk_arena_free(&b->vk, &b->targets.memory);
+    look_release(b, b->look);
+    vk_buffer_free(&b->vk, &b->exchange);
+    vk_image_destroy(&b->vk, &b->dirt);
+    vk_memory_free(&b->vk, &b->dirt_memory);
+    b->dirt_digest[0] = 0;
 }

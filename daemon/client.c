@@ -102,23 +102,27 @@ static bool overfull(const struct client *c)
 }
 
 // The request's terminal reply has been queued.
-static void settle(struct client *c, uint64_t credit_bytes)
+static void settle(struct client *c, uint64_t credit_bytes, unsigned fds)
 {
     unsigned max = c->host->facts.max_requests;
     assert(c->settled_count < max);
     c->settled[(c->settled_first + c->settled_count++) % max] =
-        (struct settled){ c->written + conn_unsent_bytes(c->conn), credit_bytes };
+        (struct settled){ c->written + conn_unsent_bytes(c->conn), credit_bytes, fds };
 }
 
 static void settle_written(struct client *c)
 {
     uint64_t credit = 0;
+    unsigned fds = 0;
     while (c->settled_count && c->settled[c->settled_first].at <= c->written) {
+        fds += c->settled[c->settled_first].fds;
         credit += c->settled[c->settled_first].credit_bytes;
         c->settled_first = (c->settled_first + 1) % c->host->facts.max_requests;
         c->settled_count--;
         c->n_requests--;
     }
+    if (fds)
+        sched_fds_sent(c->host->sched, &c->flow, fds);
     if (!credit || !talking(c))
         return;
     c->credit_left += credit;
@@ -178,7 +182,7 @@ static void upload_fail(struct client *c, struct job *j, const struct fault *f)
     upload_end(c, j);
     c->host->metrics.failed++;
     if (queued(c, reply_fault(c->conn, id, f)) == 0)
-        settle(c, credit);
+        settle(c, credit, 0);
 }
 
 static void data_written(void *ctx)
@@ -249,8 +253,11 @@ void client_job_done(struct client_host *host, struct job *j)
     } else {
         rc = conn_send(c->conn, WIRE_CANCELLED, id, NULL, 0, NULL, 0);
     }
+    const bool sends_fd = rc == 0 && j->finished && !j->overrun && j->output_kind == JOB_OUTPUT_MEMFD;
+    if (sends_fd)
+        sched_fd_keep(host->sched, &c->flow, j);
     if (queued(c, rc) == 0)
-        settle(c, credit);
+        settle(c, credit, sends_fd);
     if (!kept)
         client_job_drop(host, j);
     flush(c);
@@ -318,7 +325,7 @@ static void on_cancel(struct client *c, const struct conn_message *m)
     upload_end(c, j);
     c->host->metrics.cancelled++;
     if (queued(c, conn_send(c->conn, WIRE_CANCELLED, m->header.id, NULL, 0, NULL, 0)) == 0)
-        settle(c, credit);
+        settle(c, credit, 0);
 }
 
 // ---- HELLO, STATUS ---------------------------------------------------------------------------------
@@ -552,10 +559,10 @@ void client_progress(struct client *c)
 // ---- life ------------------------------------------------------------------------------------------
 
 // It is told, and then let go; of many that come at once only some are waited for until they have read it.
-static void turn_away(struct client *c, unsigned connections)
+static void turn_away(struct client *c, const char *what, unsigned found, unsigned allowed)
 {
     struct fault f;
-    client_busy(c->host, &f, "connections of this user", connections, c->host->user_connections_max);
+    client_busy(c->host, &f, what, found, allowed);
     sched_flow_close(c->host->sched, &c->flow);
     c->refused = true;
     c->host->metrics.refused_busy++;
@@ -586,8 +593,11 @@ struct client *client_create(struct client_host *host, int fd)
         goto fail;
     conn_set_sink(c->conn, place_data, c);
     host->clients++;
+    const unsigned fds = sched_user_fds(host->sched, &c->flow);
     if (connections > host->user_connections_max)
-        turn_away(c, connections);
+        turn_away(c, "connections of this user", connections, host->user_connections_max);
+    else if (fds > host->user_fds_max)
+        turn_away(c, "descriptors of this user", fds, host->user_fds_max);
     return c;
 fail:
     if (c->conn)

@@ -32,7 +32,7 @@ struct client_host { /* what the clients of one server share; the server's */
     struct metrics metrics;
     struct client_timeouts timeout;
     unsigned clients, refused;           /* refused: being told that they are too many of their user */
-    unsigned user_connections_max;
+    unsigned user_connections_max, user_fds_max;
     unsigned jobs, jobs_max;             /* not yet destroyed */
     uint64_t held_bytes, held_bytes_max; /* inline payloads in memory */
     bool draining;

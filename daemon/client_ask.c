@@ -128,6 +128,13 @@ static int ask_read(struct client *c, const struct conn_message *m, struct ask *
     return 0;
 }
 
+// The result's descriptor is spoken for with those that came.
+static unsigned gives_memfd(const struct ask *a)
+{
+    const Airy__Bloom *b = a->bloom;
+    return b && !b->plan_only && b->output && b->output->kind == AIRY__OUTPUT__KIND__MEMFD;
+}
+
 // It never came to hold its payload's bytes.
 static void job_forget(struct client_host *h, struct job *j)
 {
@@ -150,7 +157,7 @@ static struct job *make_job(struct client *c, const struct conn_message *m, cons
     j->client = c;
     j->id = m->header.id;
     const bool is_inline = a->input && a->input->kind == AIRY__PAYLOAD__KIND__INLINE;
-    if (hold(c, j, is_inline ? a->input->size : 0, m->header.n_fds, f) < 0) {
+    if (hold(c, j, is_inline ? a->input->size : 0, m->header.n_fds + gives_memfd(a), f) < 0) {
         client_close_fds(m);
         job_forget(c->host, j);
         return NULL;

@@ -17,6 +17,7 @@ enum client_state { CLIENT_HELLO, CLIENT_READY, CLIENT_CLOSING, CLIENT_LINGER, C
 
 struct settled { /* comes back to the client when the stream has been written up to here */
     uint64_t at, credit_bytes;
+    unsigned fds; /* went with it */
 };
 
 struct client {

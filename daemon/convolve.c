@@ -316,14 +316,19 @@ static uint32_t length_for(uint32_t side, uint32_t grow, int32_t min, int32_t ma
 }
 
 // What all takes, counted before any of it is taken.
-static int bytes_count(struct convolver *c, const struct kernel *k, unsigned members, struct fault *f)
+static uint64_t bytes_peak(struct convolver *c, const struct kernel *k, unsigned members)
 {
     const uint64_t drawn = (uint64_t)(k->max_x - k->min_x + 1) * (uint64_t)(k->max_y - k->min_y + 1);
     const uint64_t longest = c->n > c->m ? c->n : c->m, work = (uint64_t)c->blocks * 2 * L * c->m;
     const struct spectrum *s = &c->spectrum[0];
     const uint64_t spectra = (uint64_t)c->blocks * spectrum_block(s) * c->spectra;
     c->bytes = sizeof(double) * (work + spectra + members * 4 * L * longest);
-    const uint64_t peak = c->bytes + sizeof(double) * drawn * (c->channels == 1 ? 2 : 1);
+    return c->bytes + sizeof(double) * drawn * (c->channels == 1 ? 2 : 1);
+}
+
+static int bytes_count(struct convolver *c, const struct kernel *k, unsigned members, struct fault *f)
+{
+    const uint64_t peak = bytes_peak(c, k, members);
     if (peak > CONVOLVER_BYTES_MAX)
         return fault_set(
             f, FAULT_LIMIT, "params.psf",
@@ -460,20 +465,41 @@ static void plan_make(struct convolver *c, const struct convolver_facts *facts, 
                                .rows = k->symmetry == KERNEL_MIRRORED ? c->m / 2 + 1 : c->m };
 }
 
+static struct kernel_facts kernel_facts_of(const struct convolver_facts *facts)
+{
+    return (struct kernel_facts){ .psf = facts->psf,
+                                  .reach_x = facts->width + facts->grow - 1,
+                                  .reach_y = facts->height + facts->grow - 1,
+                                  .pixel_aspect = facts->pixel_aspect,
+                                  .picture_height = facts->height,
+                                  .image = facts->image,
+                                  .image_width = facts->image_width,
+                                  .image_height = facts->image_height };
+}
+
+static unsigned members_for(unsigned threads) { return threads < 1 ? 1 : threads > CREW_MAX ? CREW_MAX : threads; }
+
+uint64_t convolver_bytes_most(const struct convolver_facts *facts)
+{
+    enum { TABLES_BYTES = 1 << 20 }; // a model's radial table, the crew, the struct
+    if ((uint64_t)facts->width + facts->grow > CONVOLVER_SIDE_MAX || (uint64_t)facts->height + facts->grow > CONVOLVER_SIDE_MAX ||
+        !facts->width || !facts->height)
+        return 0; // it will be refused
+    const struct kernel_facts kernel = kernel_facts_of(facts);
+    struct kernel k;
+    struct convolver c = { .width = facts->width, .height = facts->height, .grow = facts->grow, .channels = facts->channels };
+    kernel_measure(&k, &kernel);
+    plan_make(&c, facts, &k);
+    return bytes_peak(&c, &k, members_for(facts->threads)) + 8 * sizeof(double) * ((uint64_t)c.n + c.m) + TABLES_BYTES;
+}
+
 int convolver_create(struct convolver **out, const struct convolver_facts *facts, struct fault *f)
 {
     struct kernel k;
     struct convolver *c = NULL;
     if (facts_check(facts, f) < 0)
         return -1;
-    const struct kernel_facts kernel = { .psf = facts->psf,
-                                         .reach_x = facts->width + facts->grow - 1,
-                                         .reach_y = facts->height + facts->grow - 1,
-                                         .pixel_aspect = facts->pixel_aspect,
-                                         .picture_height = facts->height,
-                                         .image = facts->image,
-                                         .image_width = facts->image_width,
-                                         .image_height = facts->image_height };
+    const struct kernel_facts kernel = kernel_facts_of(facts);
     if (kernel_check(&kernel, f) < 0)
         return -1;
     if (!(c = calloc(1, sizeof(*c))))
@@ -486,9 +512,7 @@ int convolver_create(struct convolver **out, const struct convolver_facts *facts
                              .cut = facts->psf->kind == PSF_IMAGE };
     kernel_measure(&k, &kernel);
     plan_make(c, facts, &k);
-    const unsigned threads = facts->threads < 1          ? 1
-                             : facts->threads > CREW_MAX ? CREW_MAX
-                                                         : facts->threads;
+    const unsigned threads = members_for(facts->threads);
     if (bytes_count(c, &k, threads, f) < 0 || memory_take(c, threads, f) < 0 ||
         spectra_make(c, &kernel, f) < 0)
         goto fail;

@@ -44,6 +44,8 @@ double convolver_weight(const struct convolver *c, unsigned channel);
  * (models) or left out (image). */
 double convolver_outside(const struct convolver *c, unsigned channel);
 uint64_t convolver_bytes(const struct convolver *c);
+/* Never less than what convolver_create takes for it at any moment, its end included; of an image only the size is looked at. Pure. */
+uint64_t convolver_bytes_most(const struct convolver_facts *facts);
 /* e: finite, >= 0; not out.
  * e[c]: height rows of width floats, e_stride apart; out[c]: height + 2 grow rows of width + 2 grow. Results below 0 (rounding) are 0;
  * above the

@@ -5,6 +5,7 @@
  * Attributes are copied as raw records in their order, so that unknown types survive. Chunks go out in the
  * input file's order. Nothing here depends on when tasks ran.
  */
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
@@ -324,7 +325,8 @@ int exr_assemble(struct exr *x, int (*write)(void *ctx, const void *data, size_t
     if (!result)
         result = write_chunks(x, places, n, &sink);
     if (result)
-        fault_set(f, FAULT_INTERNAL, "output", "the output could not be written: %s", strerror(-result));
+        fault_set(f, result == -ENOSPC || result == -EFBIG || result == -ENOMEM ? FAULT_NO_MEMORY : FAULT_INTERNAL, "output",
+                  "the output could not be written: %s", strerror(-result));
 fail:
     free(places);
     free(b.data);

@@ -267,6 +267,34 @@ uint64_t job_work_bytes(const struct job *j)
     return j->output_kind == JOB_OUTPUT_BUFFER ? 0 : j->input.size;
 }
 
+static bool is_scene(const struct job *j, unsigned i)
+{
+    return j->raw ? j->layout.target[i].role == RAW_SCENE : exr_target(j->exr, i)->role == EXR_SCENE;
+}
+
+void job_keep_bytes(const struct job *j, unsigned threads, uint64_t bytes[BLOOM_KEEPS])
+{
+    struct bloom_geometry g[BLOOM_TARGETS_MAX];
+    const unsigned n = job_geometry(j, g);
+    memset(bytes, 0, BLOOM_KEEPS * sizeof *bytes);
+    for (unsigned i = 0; i < n; i++) {
+        if (!is_scene(j, i))
+            continue;
+        const struct exr_target *t = j->raw ? NULL : exr_target(j->exr, i);
+        const struct bloom_keep_facts facts = { .params = &j->params,
+                                                .pixel_aspect = t ? (double)t->pixel_aspect : 1,
+                                                .display_width = t ? t->display_width : g[i].width,
+                                                .matte = *j->params.matte,
+                                                .dirt = j->dirt ? &j->dirt->image : NULL,
+                                                .kernel = j->kernel ? &j->kernel->image : NULL,
+                                                .threads = threads };
+        uint64_t of[BLOOM_KEEPS];
+        bloom_keep_bytes(&facts, 1, &g[i], of);
+        for (unsigned k = 0; k < BLOOM_KEEPS; k++)
+            bytes[k] = of[k] > bytes[k] ? of[k] : bytes[k];
+    }
+}
+
 void job_bind(struct job *j, const struct planes *in, const struct planes *out)
 {
     if (j->raw) {
@@ -384,11 +412,6 @@ static int scene_begin(struct job *j, unsigned i, struct bloom_request *r, struc
     const struct exr_target *t = exr_target(j->exr, i);
     describe(*out, t);
     return request_exr(j, t, r, f);
-}
-
-static bool is_scene(const struct job *j, unsigned i)
-{
-    return j->raw ? j->layout.target[i].role == RAW_SCENE : exr_target(j->exr, i)->role == EXR_SCENE;
 }
 
 static int bloom_scene(struct job *j, unsigned i, struct bloom *b, struct bloom_slot *s, struct fault *f)
@@ -535,7 +558,7 @@ static int write_block(void *ctx, const void *data, size_t len)
 {
     struct payload *p = ctx;
     if (len > p->block->bytes - p->size)
-        return -ENOSPC;
+        return -EOVERFLOW;
     memcpy(p->block->data + p->size, data, len);
     p->size += len;
     return 0;
@@ -640,4 +663,16 @@ void job_rewind(struct job *j)
     j->n_targets = j->n_scenes = 0;
     if (j->wall)
         job_wall_rewind(j);
+}
+
+void job_unload(struct job *j)
+{
+    struct payload *p = &j->input;
+    job_rewind(j);
+    j->ms.load = j->ms.decode = 0;
+    if (p->kind == PAYLOAD_INLINE || !p->block)
+        return;
+    block_give(j->env->blocks, p->block);
+    p->block = NULL;
+    p->data = NULL;
 }

@@ -132,6 +132,7 @@ struct job {
     struct sched_user *user;       /* whom it counts for; NULL: nobody yet */
     unsigned fds_held;
     uint64_t load_held, work_held; /* of sched's room */
+    uint64_t work_known;           /* what it will need of work; 0: not known before it is opened */
     double units, charged_ms;      /* how large it is said to be, and what its turn was reckoned at */
     uint64_t deadline_ns;
     bool parked;                   /* opened, and waits for room */
@@ -190,6 +191,8 @@ unsigned job_geometry(const struct job *j, struct bloom_geometry g[BLOOM_TARGETS
 uint64_t job_work_bytes(const struct job *j);
 /* After OPEN: the attribute that the output file has; "" when it has none. The job's. */
 const char *job_stamp(const struct job *j);
+/* After OPEN: what the engine will keep for it beside its planes, at most; threads: the engine's. */
+void job_keep_bytes(const struct job *j, unsigned threads, uint64_t bytes[BLOOM_KEEPS]);
 /* Hands the planes of the job's slot to the decoder and encoder. */
 void job_bind(struct job *j, const struct planes *in, const struct planes *out);
 /* PLAN and BLOOM, all scenes. */
@@ -211,5 +214,7 @@ void job_wall_rewind(struct job *j);
 
 /* Back to before OPEN, the input's bytes kept: its planes are lost with their device. */
 void job_rewind(struct job *j);
+/* ... and without what was read of a descriptor: it holds no memory of its size until it is opened again. */
+void job_unload(struct job *j);
 
 #endif

@@ -53,6 +53,8 @@ int look_run(struct bloom *b, struct bloom_slot *s, unsigned target, const struc
 /* Frees what look_run keeps between frames. NULL is fine. */
 struct look_targets;
 void look_destroy(struct bloom *b, struct look_targets *t);
+/* Only its images, and what it reads them back by. NULL is fine. */
+void look_release(struct bloom *b, struct look_targets *t);
 /* "half-gaussian: half size, 9 + 9 taps; ...": what would run, for people. */
 int look_print(const struct params *p, uint32_t width, uint32_t height, char *out, size_t size);
 

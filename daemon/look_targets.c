@@ -31,14 +31,21 @@ static void clear_images(struct vk *v, struct look_targets *t)
     t->made = false;
 }
 
-void look_destroy(struct bloom *b, struct look_targets *t)
+void look_release(struct bloom *b, struct look_targets *t)
 {
     if (!t)
         return;
     clear_images(&b->vk, t);
     vk_arena_free(&b->vk, &t->memory);
-    vk_buffer_free(&b->vk, &t->uniforms);
     vk_buffer_free(&b->vk, &t->sums);
+}
+
+void look_destroy(struct bloom *b, struct look_targets *t)
+{
+    if (!t)
+        return;
+    look_release(b, t);
+    vk_buffer_free(&b->vk, &t->uniforms);
     for (unsigned i = 0; i < t->pipelines; i++)
         vk_pipeline_destroy(&b->vk, &t->pipeline[i].pipeline);
     free(t);

@@ -8,11 +8,11 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/resource.h>
 #include <systemd/sd-daemon.h>
 #include <unistd.h>
 
 #include "airy.h"
+#include "machine.h"
 #include "server.h"
 
 enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
@@ -20,7 +20,7 @@ enum { EXIT_USAGE = 2, EXIT_VALIDATION = 4 };
 struct options {
     const char *socket, *device, *warm;
     uint64_t threads, slots, max_frame_bytes, max_clients, max_requests, timeout_s, asset_bytes;
-    uint64_t memory_bytes, user_connections, user_requests, user_bytes; // 0: by the machine
+    uint64_t memory_bytes, user_connections, user_requests, user_bytes, user_fds; // 0: by the machine
     const char *wall[WALLS_MAX];
     unsigned n_walls;
     int lifetime_fd;
@@ -67,6 +67,8 @@ static const char usage[] =
     "      --user-requests N      requests in flight of a user, 1 to 65536 (default 1024)\n"
     "      --user-bytes N         memory for a user's payloads, and as much for the user's frames at work; K, M, G\n"
     "                             may follow (default what keeps some for others)\n"
+    "      --user-fds N           descriptors of a user: connections, what requests bring, memfds of results not\n"
+    "                             yet sent; 8 to 1048576 (default three quarters of what RLIMIT_NOFILE leaves)\n"
     "      --asset-bytes N        memory for the images that requests name by digest, decoded; K, M, G may\n"
     "                             follow (default 256M, at most a sixteenth of --memory-bytes)\n"
     "      --timeout-s N          seconds for a HELLO, a stalled upload, a reply not read (default 60)\n"
@@ -94,6 +96,7 @@ enum option_id {
     OPT_USER_CONNECTIONS,
     OPT_USER_REQUESTS,
     OPT_USER_BYTES,
+    OPT_USER_FDS,
     OPT_LIFETIME,
     OPT_WALL,
     OPT_WARM,
@@ -118,6 +121,7 @@ static const struct option options_known[] = {
     { "user-connections", required_argument, NULL, OPT_USER_CONNECTIONS },
     { "user-requests", required_argument, NULL, OPT_USER_REQUESTS },
     { "user-bytes", required_argument, NULL, OPT_USER_BYTES },
+    { "user-fds", required_argument, NULL, OPT_USER_FDS },
     { "lifetime-fd", required_argument, NULL, OPT_LIFETIME },
     { "wall", required_argument, NULL, OPT_WALL },
     { "warm", required_argument, NULL, OPT_WARM },
@@ -163,6 +167,7 @@ static void take_option(struct options *o, int id, const char *arg)
     case OPT_USER_CONNECTIONS: o->user_connections = number("user-connections", arg, 1, 65536); break;
     case OPT_USER_REQUESTS: o->user_requests = number("user-requests", arg, 1, 65536); break;
     case OPT_USER_BYTES: o->user_bytes = number("user-bytes", arg, 4096, UINT64_C(1) << 44); break;
+    case OPT_USER_FDS: o->user_fds = number("user-fds", arg, 8, 1 << 20); break;
     case OPT_LIFETIME:
         o->lifetime_fd = (int)number("lifetime-fd", arg, 0, INT_MAX);
         if (fcntl(o->lifetime_fd, F_SETFD, FD_CLOEXEC) < 0) {
@@ -204,34 +209,8 @@ static void read_options(struct options *o, int argc, char **argv)
     }
 }
 
-// What this process may use: of the machine, or of its control group.
-static uint64_t memory_bytes(void)
-{
-    uint64_t all = (uint64_t)sysconf(_SC_PHYS_PAGES) * (uint64_t)sysconf(_SC_PAGESIZE);
-    FILE *file = fopen("/sys/fs/cgroup/memory.max", "re");
-    unsigned long long max;
-    if (file && fscanf(file, "%llu", &max) == 1 && max < all)
-        all = max;
-    if (file)
-        fclose(file);
-    return all;
-}
-
 static uint64_t least(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static uint64_t most(uint64_t a, uint64_t b) { return a > b ? a : b; }
-
-// A request holds two descriptors and its result one.
-static unsigned jobs_for(uint64_t clients)
-{
-    struct rlimit limit = { .rlim_cur = 1024 };
-    if (getrlimit(RLIMIT_NOFILE, &limit) == 0) {
-        limit.rlim_cur = limit.rlim_max;
-        setrlimit(RLIMIT_NOFILE, &limit);
-        getrlimit(RLIMIT_NOFILE, &limit);
-    }
-    uint64_t spare = limit.rlim_cur > clients + 64 ? limit.rlim_cur - clients - 64 : 0;
-    return (unsigned)most(16, least(spare / 3, 65536));
-}
 
 static unsigned cpus(void)
 {
@@ -280,11 +259,26 @@ static unsigned host_threads(const struct options *o)
     return threads < 2 ? 2 : threads > most ? most : threads;
 }
 
+// Fewer connections than were asked for are a fact that whoever runs this wants to know.
+static struct fd_share share_fds(const struct options *o)
+{
+    const uint64_t limit = machine_raise_fds();
+    const struct fd_share fds = machine_share_fds(limit, o->max_clients, o->user_fds);
+    char line[160];
+    if (fds.clients < o->max_clients) {
+        snprintf(line, sizeof line, "RLIMIT_NOFILE of %llu leaves descriptors for %u connections, not the %llu of --max-clients",
+                 (unsigned long long)limit, fds.clients, (unsigned long long)o->max_clients);
+        say(line);
+    }
+    return fds;
+}
+
 static void configure(struct server_config *c, const struct options *o)
 {
     const char *warm = o->warm ? o->warm : o->lifetime_fd < 0 ? "idle" : "common";
-    uint64_t memory = memory_bytes(), gib = UINT64_C(1) << 30;
+    uint64_t memory = machine_memory_bytes(), gib = UINT64_C(1) << 30;
     uint32_t timeout_ms = (uint32_t)o->timeout_s * 1000;
+    const struct fd_share fds = share_fds(o);
     *c = (struct server_config){
         .sched = { .threads = o->threads ? (unsigned)o->threads : cpus(),
                    .slots = (unsigned)o->slots,
@@ -297,10 +291,10 @@ static void configure(struct server_config *c, const struct options *o)
                              .max_pixels = least(UINT64_C(16384) * 16384, memory / 48),
                              .max_decoded_bytes = memory / 4 } },
         .max_requests = (uint32_t)o->max_requests,
-        .max_clients = (unsigned)o->max_clients,
-        .max_jobs = jobs_for(o->max_clients),
+        .max_clients = fds.clients,
+        .max_jobs = fds.jobs,
         .user_connections = o->user_connections ? (unsigned)o->user_connections
-                                                : (unsigned)least(o->max_clients, most(16, o->max_clients / 4 * 3)),
+                                                : (unsigned)least(fds.clients, most(16, fds.clients / 4 * 3)),
         .timeouts = { .hello = timeout_ms, .write = timeout_ms, .upload = timeout_ms, .linger = 1000 },
         .n_walls = o->n_walls,
         .lifetime_fd = o->lifetime_fd,
@@ -309,6 +303,8 @@ static void configure(struct server_config *c, const struct options *o)
     };
     memcpy(c->wall, o->wall, sizeof c->wall);
     share_memory(c, o, memory);
+    c->sched.limits.fds = fds.all;
+    c->sched.limits.user_fds = fds.user;
     // The largest frame must fit, or nobody could ever send it.
     c->credit_bytes = most(c->limits.max_frame_bytes, least(gib, c->memory_bytes / 8));
 }

@@ -115,6 +115,7 @@ static enum job_stage to_planes(struct sched_lane *l, struct job *j)
     switch (room_take(l, j)) {
     case ROOM_READY: job_bind(j, j->slot->in, j->slot->out); return JOB_DECODE;
     case ROOM_PREPARE: return JOB_PREPARE;
+    case ROOM_USER: return JOB_WAITING;
     case ROOM_NEVER: too_large(l->sched, j); return JOB_FINISH;
     default: return JOB_OPEN;
     }
@@ -158,6 +159,21 @@ static void park(struct sched_lane *l, struct job *j)
     link_job(&l->parked, j);
 }
 
+// Opened, and its user has too much at work for it: back into its line with nothing held.
+static void send_back(struct sched_lane *l, struct job *j)
+{
+    struct sched *s = l->sched;
+    j->stage = JOB_WAITING;
+    l->admitted--;
+    l->running--;
+    l->n_waiting++;
+    s->deadlines += j->deadline_ns != 0;
+    fair_return(j);
+    job_unload(j);
+    room_give(s, j, 0);
+    wake_pool(l);
+}
+
 // The stage's last task is done, or the job is to end and none of its tasks runs.
 static void advance(struct sched *s, struct job *j)
 {
@@ -167,6 +183,10 @@ static void advance(struct sched *s, struct job *j)
         enum job_stage next = ending(j) && j->stage != JOB_FINISH ? JOB_FINISH : next_stage(l, j);
         if (next == JOB_OPEN) {
             park(l, j);
+            return;
+        }
+        if (next == JOB_WAITING) {
+            send_back(l, j);
             return;
         }
         enter(s, j, next);

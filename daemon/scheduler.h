@@ -32,6 +32,7 @@ struct sched_limits { /* none is 0 */
     uint64_t user_work_bytes;   /* a user that has so much of work_bytes gets no further turn */
     uint64_t user_inline_bytes; /* payloads that came inline, of a user */
     uint32_t user_requests;
+    uint32_t fds, user_fds;     /* descriptors: connections, requests', results that are not yet sent */
 };
 
 struct sched_config {
@@ -49,6 +50,7 @@ struct sched_flow { /* one connection's line; embedded in its owner */
     TAILQ_ENTRY(sched_flow) of_user;
     struct job_queue waiting; /* highest priority first */
     unsigned running;
+    unsigned fds; /* of results that are not yet sent */
     double served_ms, ms_per_unit;
 };
 
@@ -67,6 +69,8 @@ unsigned sched_validation_messages(struct sched *s);
  * before). */
 int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid, unsigned *connections);
 void sched_flow_close(struct sched *s, struct sched_flow *flow);
+/* Descriptors of the flow's user, its connections included. */
+unsigned sched_user_fds(struct sched *s, const struct sched_flow *flow);
 
 enum sched_verdict { SCHED_TAKEN, SCHED_BUSY, SCHED_LIMIT };
 struct sched_refusal {
@@ -80,6 +84,9 @@ bool sched_hold(struct sched *s, struct sched_flow *flow, struct job *j, uint64_
                 struct sched_refusal *r);
 /* Before the job is destroyed, when sched does not have it. Not held is fine. */
 void sched_drop(struct sched *s, struct job *j);
+/* One of the job's descriptors is the connection's from here on, until sched_fds_sent or the flow's end: a result that waits to be written. */
+void sched_fd_keep(struct sched *s, struct sched_flow *flow, struct job *j);
+void sched_fds_sent(struct sched *s, struct sched_flow *flow, unsigned n);
 /* Could it ever be done, when its sizes are known now (a raw picture)? *bytes: what it takes. */
 bool sched_fits(const struct sched *s, const struct job *j, uint64_t *bytes);
 

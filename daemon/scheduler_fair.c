@@ -119,6 +119,23 @@ void fair_take(struct sched *s, struct job *j)
     TAILQ_INSERT_TAIL(&s->users, u, link);
 }
 
+void fair_return(struct job *j)
+{
+    struct sched_flow *flow = j->flow;
+    struct job *after = TAILQ_FIRST(&flow->waiting);
+    charge(j, 0);
+    j->user->running--;
+    flow->running--;
+    j->user->queued++;
+    while (after && after->priority > j->priority)
+        after = TAILQ_NEXT(after, link);
+    if (after)
+        TAILQ_INSERT_BEFORE(after, j, link);
+    else
+        TAILQ_INSERT_TAIL(&flow->waiting, j, link);
+    j->linked = true;
+}
+
 void fair_leave_flow(struct job *j)
 {
     if (j->flow && !j->walled && j->stage > JOB_WAITING && j->stage < JOB_DONE)

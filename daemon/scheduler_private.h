@@ -13,7 +13,7 @@
 
 struct sched_user {
     uid_t uid;
-    unsigned flows_open, requests, fds; /* fds: of requests */
+    unsigned flows_open, requests, fds; /* fds: of requests, and of results that are not yet sent */
     unsigned queued, running;           /* jobs of frames; running: had a turn, not yet done */
     uint64_t inline_bytes, work;
     double device_ms;                   /* used so far, walls' included */
@@ -30,7 +30,7 @@ struct sched_slot {
      * Not prepared: the planes are from before, whoever asked for the geometry may have been cancelled. */
     bool prepared;
     bool drop;               /* its planes are to be freed: nobody takes it */
-    uint64_t bytes, scratch; /* of its planes; of the engine's levels for its job */
+    uint64_t bytes, keep[BLOOM_KEEPS]; /* of its planes; of what the engine keeps for its job */
     unsigned count;
     struct bloom_geometry geometry[BLOOM_TARGETS_MAX];
     struct planes in[BLOOM_TARGETS_MAX], out[BLOOM_TARGETS_MAX * BLOOM_OUTPUTS_MAX];
@@ -55,8 +55,8 @@ struct sched_lane {
     unsigned admitted;                  /* between OPEN and the end of ENCODE: at most `slots` */
     unsigned claimed;                   /* tasks that threads of the pool are at, of admitted jobs */
     struct job_queue parked;            /* of frames: admitted and opened, without room */
-    uint64_t scratch;                   /* bytes of the engine's levels */
-    bool drop_scratch;
+    uint64_t keep[BLOOM_KEEPS];         /* bytes of what the engine keeps beside planes */
+    bool drop_keep;
     bool hold;                          /* nothing but FINISH is claimed */
     bool dead;                          /* its device is lost, and could not be had again */
     unsigned slots;
@@ -78,6 +78,7 @@ struct sched {
         uint64_t load, work, work_peak;
         bool keeping; /* an image that is to be kept is decoded: one at a time */
     } room;
+    unsigned fds;                   /* of all users, connections included */
     TAILQ_HEAD(, sched_user) users; /* served longest ago first */
     double virtual_ms, ms_per_unit; /* virtual_ms: what the user served last had then */
     unsigned deadlines;             /* jobs that wait with one */
@@ -110,6 +111,7 @@ void fair_remove(struct job *j); /* without a turn */
 /* Whose turn it is, of the users whose first job `may`; NULL: nobody's. */
 struct job *fair_first(struct sched *s, bool (*may)(struct sched *s, const struct job *j));
 void fair_take(struct sched *s, struct job *j);
+void fair_return(struct job *j); /* taken, and back in its place as if it never were */
 void fair_leave_flow(struct job *j); /* its connection is forgotten */
 void fair_settle(struct sched *s, struct job *j); /* it is done */
 
@@ -117,16 +119,18 @@ void fair_settle(struct sched *s, struct job *j); /* it is done */
 void users_finish(struct sched *s);
 
 /* scheduler_room.c */
-enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_NEVER };
+/* USER: its user has too much at work already; it may come again with what it needs known (job.work_known). */
+enum room_verdict { ROOM_READY, ROOM_PREPARE, ROOM_WAIT, ROOM_USER, ROOM_NEVER };
+uint64_t room_planes_bytes(unsigned count, const struct bloom_geometry *g); /* of a slot */
 bool room_may_turn(struct sched *s, const struct job *j);
 void room_turn(struct sched *s, struct job *j);
-/* A slot and all the memory for an opened job; nothing on WAIT and NEVER. */
+/* A slot and all the memory for an opened job; nothing on WAIT, USER and NEVER. */
 enum room_verdict room_take(struct sched_lane *l, struct job *j);
 void room_give(struct sched *s, struct job *j, uint64_t keep); /* all but so much of its work */
-/* What the device thread is to free: a bit a slot, and the levels. */
+/* What the device thread is to free: a bit a slot, and what it keeps beside planes. */
 bool room_drops(const struct sched_lane *l);
-unsigned room_drop_begin(const struct sched_lane *l, bool *scratch);
-void room_drop_end(struct sched_lane *l, unsigned mask, bool scratch);
+unsigned room_drop_begin(const struct sched_lane *l, bool *keep);
+void room_drop_end(struct sched_lane *l, unsigned mask, bool keep);
 void room_lost(struct sched_lane *l); /* the device is gone */
 
 /* scheduler_threads.c */

@@ -3,11 +3,14 @@
  * scheduler_room.c - memory of what is at work, under a ceiling, by declared size: taken here before it is allocated there.
  *
  * Two kinds. `load`: payloads that are read from descriptors, taken when a job gets its turn. `work`: planes, what the codec unpacks
- * and packs, the result, and the engine's levels, taken when the job is opened and its sizes are known; without room it is parked, and
+ * and packs, the result, and what the engine keeps beside planes, taken when the job is opened and its sizes are known; without room it is parked, and
  * while one is parked nobody else gets a turn. A load is never held by what waits for another load, nor work by what waits for work, so whoever
  * has work ends and gives it back: nothing waits for ever. What could not fit into an empty daemon is LIMIT.
  *
- * Planes and levels stay with their slot and lane after the job, for the next frame of that size; without room for another size the
+ * What of work is a user's is held to the user's share in the same place. Who comes to that limit does not park, for others would wait behind
+ * it, perhaps for results that its client does not read: it goes back into its line with nothing held, and is opened again when there is room.
+ *
+ * Planes and what the engine keeps stay with their slot and lane after the job, for the next frame of that size; without room for another size the
  * device thread frees those of idle slots first.
  *
  * Jobs of walls are counted and never wait: they must not stand behind a farm's frames. All under the lock.
@@ -16,14 +19,12 @@
 
 #include <assert.h>
 #include <stddef.h>
-
-// The engine's levels, bytes a sample of the largest scene: all at full size in float32, or the host's spectra of a kernel.
-enum { LEVEL_BYTES = 20, SPECTRUM_BYTES = 64 };
+#include <string.h>
 
 static uint64_t texels16(uint64_t samples, enum pixel_type type) { return (samples * pixel_bytes(type) + 15) / 16 * 16; }
 
 // As bloom_targets.c makes them: rows of whole 16-byte texels; outputs in four phases of rows.
-static uint64_t planes_bytes(unsigned count, const struct bloom_geometry *g)
+uint64_t room_planes_bytes(unsigned count, const struct bloom_geometry *g)
 {
     uint64_t bytes = 0;
     for (unsigned i = 0; i < count; i++) {
@@ -34,14 +35,18 @@ static uint64_t planes_bytes(unsigned count, const struct bloom_geometry *g)
     return bytes;
 }
 
-static uint64_t scratch_bytes(const struct job *j, unsigned count, const struct bloom_geometry *g)
+static uint64_t sum_of(const uint64_t keep[BLOOM_KEEPS])
 {
-    uint64_t most = 0;
-    for (unsigned i = 0; i < count; i++) {
-        const uint64_t samples = (g[i].width + 2ull * g[i].grow) * (g[i].height + 2ull * g[i].grow) * g[i].channels;
-        most = samples > most ? samples : most;
-    }
-    return most * (j->params.psf_spec.kind == PSF_GAUSSIANS ? LEVEL_BYTES : SPECTRUM_BYTES);
+    uint64_t sum = 0;
+    for (unsigned i = 0; i < BLOOM_KEEPS; i++)
+        sum += keep[i];
+    return sum;
+}
+
+static void most_of(uint64_t keep[BLOOM_KEEPS], const uint64_t other[BLOOM_KEEPS])
+{
+    for (unsigned i = 0; i < BLOOM_KEEPS; i++)
+        keep[i] = other[i] > keep[i] ? other[i] : keep[i];
 }
 
 static void work_add(struct sched *s, uint64_t bytes)
@@ -79,8 +84,10 @@ void room_give(struct sched *s, struct job *j, uint64_t keep)
         job_sub(s, j, j->work_held - keep);
     else // an output that is larger than was thought: it is there
         job_add(s, j, keep - j->work_held);
-    if (more)
-        sched_room_freed(s);
+    if (!more)
+        return;
+    sched_room_freed(s);
+    pthread_cond_broadcast(&s->pool_wake); // a user's turn may have waited for this
 }
 
 // ---- a turn: the payload -----------------------------------------------------------------------------
@@ -97,7 +104,7 @@ bool room_may_turn(struct sched *s, const struct job *j)
     if (j->kind == JOB_KEEPS && s->room.keeping)
         return false;
     // One at a time goes beyond what a user may have: a frame that fits the daemon is done.
-    if (u->work && u->work >= s->limits.user_work_bytes)
+    if (u->work && (u->work >= s->limits.user_work_bytes || u->work + j->work_known > s->limits.user_work_bytes))
         return false;
     return !s->room.load || s->room.load + load_of(j) <= s->limits.load_bytes;
 }
@@ -115,22 +122,23 @@ void room_turn(struct sched *s, struct job *j)
 struct want {
     unsigned count;
     struct bloom_geometry g[BLOOM_TARGETS_MAX];
-    uint64_t planes, scratch, work;
+    uint64_t planes, keep[BLOOM_KEEPS], work, all;
 };
 
-static void want_of(const struct job *j, struct want *w)
+static void want_of(const struct sched *s, const struct job *j, struct want *w)
 {
     w->count = job_geometry(j, w->g);
-    w->planes = planes_bytes(w->count, w->g);
-    w->scratch = scratch_bytes(j, w->count, w->g);
+    w->planes = room_planes_bytes(w->count, w->g);
+    job_keep_bytes(j, s->device.threads, w->keep);
     w->work = job_work_bytes(j);
+    w->all = w->planes + sum_of(w->keep) + w->work;
 }
 
 bool sched_fits(const struct sched *s, const struct job *j, uint64_t *bytes)
 {
     struct want w;
-    want_of(j, &w);
-    *bytes = w.planes + w.scratch + w.work;
+    want_of(s, j, &w);
+    *bytes = w.all;
     return *bytes <= s->limits.work_bytes;
 }
 
@@ -161,18 +169,18 @@ static struct sched_slot *slot_choose(struct sched_lane *l, const struct want *w
     return found;
 }
 
-// What the lane's levels must have for the jobs that are in its slots.
-static uint64_t scratch_needed(const struct sched_lane *l)
+// What the lane's engine must keep for the jobs that are in its slots.
+static void keep_needed(const struct sched_lane *l, uint64_t keep[BLOOM_KEEPS])
 {
-    uint64_t most = 0;
+    for (unsigned i = 0; i < BLOOM_KEEPS; i++)
+        keep[i] = 0;
     for (unsigned i = 0; i < l->slots; i++)
-        if (l->slot[i].job && l->slot[i].scratch > most)
-            most = l->slot[i].scratch;
-    return most;
+        if (l->slot[i].job)
+            most_of(keep, l->slot[i].keep);
 }
 
 // Asks the device thread to free what nobody uses, but no more than is needed.
-static void reclaim(struct sched_lane *l, uint64_t missing, uint64_t scratch)
+static void reclaim(struct sched_lane *l, uint64_t missing, const uint64_t keep[BLOOM_KEEPS])
 {
     uint64_t found = 0;
     for (unsigned i = 0; i < l->slots && found < missing; i++) {
@@ -183,31 +191,33 @@ static void reclaim(struct sched_lane *l, uint64_t missing, uint64_t scratch)
         slot->prepared = false;
         found += slot->bytes;
     }
-    const uint64_t needed = scratch_needed(l);
-    if (found < missing && l->scratch > (needed > scratch ? needed : scratch))
-        l->drop_scratch = true;
+    uint64_t needed[BLOOM_KEEPS];
+    keep_needed(l, needed);
+    most_of(needed, keep);
+    if (found < missing && sum_of(l->keep) > sum_of(needed))
+        l->drop_keep = true;
     if (room_drops(l))
         pthread_cond_signal(&l->device_wake);
 }
 
 bool room_drops(const struct sched_lane *l)
 {
-    bool any = l->drop_scratch;
+    bool any = l->drop_keep;
     for (unsigned i = 0; i < l->slots; i++)
         any |= l->slot[i].drop;
     return any;
 }
 
-unsigned room_drop_begin(const struct sched_lane *l, bool *scratch)
+unsigned room_drop_begin(const struct sched_lane *l, bool *keep)
 {
     unsigned mask = 0;
     for (unsigned i = 0; i < l->slots; i++)
         mask |= (unsigned)l->slot[i].drop << i;
-    *scratch = l->drop_scratch;
+    *keep = l->drop_keep;
     return mask;
 }
 
-void room_drop_end(struct sched_lane *l, unsigned mask, bool scratch)
+void room_drop_end(struct sched_lane *l, unsigned mask, bool keep)
 {
     struct sched *s = l->sched;
     for (unsigned i = 0; i < l->slots; i++) {
@@ -218,11 +228,11 @@ void room_drop_end(struct sched_lane *l, unsigned mask, bool scratch)
         s->room.work -= slot->bytes;
         slot->bytes = 0;
     }
-    if (scratch) {
-        const uint64_t needed = scratch_needed(l);
-        s->room.work -= l->scratch - needed;
-        l->scratch = needed;
-        l->drop_scratch = false;
+    if (keep) {
+        s->room.work -= sum_of(l->keep);
+        keep_needed(l, l->keep);
+        s->room.work += sum_of(l->keep);
+        l->drop_keep = false;
     }
     sched_room_freed(s);
 }
@@ -235,9 +245,10 @@ void room_lost(struct sched_lane *l)
         l->slot[i].bytes = 0;
         l->slot[i].drop = false;
     }
-    l->sched->room.work -= l->scratch;
-    l->scratch = 0;
-    l->drop_scratch = false;
+    l->sched->room.work -= sum_of(l->keep);
+    for (unsigned i = 0; i < BLOOM_KEEPS; i++)
+        l->keep[i] = 0;
+    l->drop_keep = false;
 }
 
 enum room_verdict room_take(struct sched_lane *l, struct job *j)
@@ -245,23 +256,31 @@ enum room_verdict room_take(struct sched_lane *l, struct job *j)
     struct sched *s = l->sched;
     struct want w;
     bool fits;
-    want_of(j, &w);
+    want_of(s, j, &w);
+    j->work_known = w.work;
+    // Several may have had their turn before the first was opened and its size known.
+    const uint64_t others = j->user ? j->user->work - j->work_held : 0;
+    if (l->name == LANE_FRAMES && others && others + w.work > s->limits.user_work_bytes)
+        return w.all > s->limits.work_bytes ? ROOM_NEVER : ROOM_USER;
     struct sched_slot *slot = slot_choose(l, &w, &fits);
     if (!slot)
         return ROOM_WAIT;
     const uint64_t grown = w.planes > slot->bytes ? w.planes - slot->bytes : 0;
-    const uint64_t levels = w.scratch > l->scratch ? w.scratch - l->scratch : 0;
+    uint64_t keep[BLOOM_KEEPS];
+    memcpy(keep, l->keep, sizeof keep);
+    most_of(keep, w.keep);
+    const uint64_t levels = sum_of(keep) - sum_of(l->keep);
     const uint64_t work = w.work > j->work_held ? w.work - j->work_held : 0;
     const uint64_t all = s->room.work + grown + levels + work, max = s->limits.work_bytes;
     if (l->name == LANE_FRAMES && all > max) {
-        if (w.planes + w.scratch + w.work > max)
+        if (w.all > max)
             return ROOM_NEVER;
-        reclaim(l, all - max, w.scratch);
+        reclaim(l, all - max, w.keep);
         return ROOM_WAIT;
     }
     slot->bytes += grown;
-    slot->scratch = w.scratch;
-    l->scratch += levels;
+    memcpy(slot->keep, w.keep, sizeof slot->keep);
+    memcpy(l->keep, keep, sizeof l->keep);
     work_add(s, grown + levels);
     job_add(s, j, work);
     slot->job = j;

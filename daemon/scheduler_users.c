@@ -65,6 +65,7 @@ int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid, unsigne
     struct sched_user *u = user_of(s, uid);
     if (u) {
         *connections = ++u->flows_open;
+        s->fds++;
         flow->user = u;
         TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
     }
@@ -81,9 +82,20 @@ void sched_flow_close(struct sched *s, struct sched_flow *flow)
     assert(TAILQ_EMPTY(&flow->waiting));
     TAILQ_REMOVE(&u->flows, flow, of_user);
     u->flows_open--;
+    u->fds -= flow->fds;
+    s->fds -= flow->fds + 1;
+    flow->fds = 0;
     flow->user = NULL;
     note_idle(s, u);
     pthread_mutex_unlock(&s->lock);
+}
+
+unsigned sched_user_fds(struct sched *s, const struct sched_flow *flow)
+{
+    pthread_mutex_lock(&s->lock);
+    unsigned fds = flow->user->flows_open + flow->user->fds;
+    pthread_mutex_unlock(&s->lock);
+    return fds;
 }
 
 static bool refuse(struct sched_refusal *r, enum sched_verdict verdict, const char *what, uint64_t found, uint64_t allowed)
@@ -92,9 +104,10 @@ static bool refuse(struct sched_refusal *r, enum sched_verdict verdict, const ch
     return false;
 }
 
-static bool may_have(const struct sched *s, const struct sched_user *u, uint64_t inline_bytes, struct sched_refusal *r)
+static bool may_have(const struct sched *s, const struct sched_user *u, uint64_t inline_bytes, unsigned fds, struct sched_refusal *r)
 {
     const struct sched_limits *l = &s->limits;
+    const unsigned of_user = u->flows_open + u->fds + fds;
     if (u->requests >= l->user_requests)
         return refuse(r, SCHED_BUSY, "requests in flight of this user", u->requests, l->user_requests);
     if (inline_bytes > l->user_inline_bytes)
@@ -102,6 +115,10 @@ static bool may_have(const struct sched *s, const struct sched_user *u, uint64_t
     if (u->inline_bytes + inline_bytes > l->user_inline_bytes) // both far below 2^63
         return refuse(r, SCHED_BUSY, "payload bytes in flight of this user", u->inline_bytes + inline_bytes,
                       l->user_inline_bytes);
+    if (fds && of_user > l->user_fds)
+        return refuse(r, SCHED_BUSY, "descriptors of this user", of_user, l->user_fds);
+    if (fds && s->fds + fds > l->fds)
+        return refuse(r, SCHED_BUSY, "descriptors in the daemon", s->fds + fds, l->fds);
     return true;
 }
 
@@ -110,11 +127,12 @@ bool sched_hold(struct sched *s, struct sched_flow *flow, struct job *j, uint64_
 {
     struct sched_user *u = flow->user;
     pthread_mutex_lock(&s->lock);
-    bool held = may_have(s, u, inline_bytes, r);
+    bool held = may_have(s, u, inline_bytes, fds, r);
     if (held) {
         u->requests++;
         u->inline_bytes += inline_bytes;
         u->fds += fds;
+        s->fds += fds;
         j->user = u;
         j->input_held = inline_bytes;
         j->fds_held = fds;
@@ -133,8 +151,28 @@ void sched_drop(struct sched *s, struct job *j)
     u->requests--;
     u->inline_bytes -= j->input_held;
     u->fds -= j->fds_held;
+    s->fds -= j->fds_held;
     j->user = NULL;
     note_idle(s, u);
+    pthread_mutex_unlock(&s->lock);
+}
+
+void sched_fd_keep(struct sched *s, struct sched_flow *flow, struct job *j)
+{
+    assert(j->fds_held && j->user == flow->user);
+    pthread_mutex_lock(&s->lock);
+    j->fds_held--;
+    flow->fds++;
+    pthread_mutex_unlock(&s->lock);
+}
+
+void sched_fds_sent(struct sched *s, struct sched_flow *flow, unsigned n)
+{
+    pthread_mutex_lock(&s->lock);
+    assert(n <= flow->fds);
+    flow->fds -= n;
+    flow->user->fds -= n;
+    s->fds -= n;
     pthread_mutex_unlock(&s->lock);
 }
 

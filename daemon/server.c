@@ -35,7 +35,7 @@ struct server {
     struct client_host host;
     struct listener *listener;
     struct watch listen[LISTENER_FDS_MAX], signals, sched, lifetime;
-    bool accepting;
+    bool accepting, starved; // starved: no descriptor was left for who comes, and the log says so
     int epoll_fd;
     unsigned max_clients;
     struct watch_list clients, dead;
@@ -147,6 +147,7 @@ static void on_listen(struct server *s, int listen_fd)
         }
         int fd = accept4(listen_fd, NULL, NULL, SOCK_CLOEXEC | SOCK_NONBLOCK);
         if (fd >= 0) {
+            s->starved = false;
             client_add(s, fd);
             continue;
         }
@@ -155,7 +156,9 @@ static void on_listen(struct server *s, int listen_fd)
         if (errno != EAGAIN && errno != EWOULDBLOCK) {
             char line[128];
             snprintf(line, sizeof line, "accept: %s; trying again", strerror(errno));
-            s->log(line);
+            if (!s->starved)
+                s->log(line);
+            s->starved = true;
             listen_pause(s, true);
         }
         return;
@@ -359,7 +362,9 @@ static int open_signals(struct server *s, struct fault *f)
     sigaddset(&set, SIGTERM);
     sigaddset(&set, SIGINT);
     sigaddset(&set, SIGHUP);
+    // What they tell of is an error of the write, too: it costs the one result.
     signal(SIGPIPE, SIG_IGN);
+    signal(SIGXFSZ, SIG_IGN);
     if (pthread_sigmask(SIG_BLOCK, &set, NULL))
         return fault_set(f, FAULT_INTERNAL, "", "pthread_sigmask failed");
     s->signals = (struct watch){ .kind = WATCH_SIGNAL };
@@ -398,6 +403,7 @@ static void host_init(struct server *s, const struct server_config *config)
     h->held_bytes_max = config->held_bytes_max;
     h->jobs_max = config->max_jobs;
     h->user_connections_max = config->user_connections;
+    h->user_fds_max = config->sched.limits.user_fds;
     h->log = config->verbose ? config->log : NULL;
     h->job.limits = config->limits;
     h->job.blocks = &h->blocks;

@@ -304,6 +304,11 @@ static int match_fds(struct conn *c, const struct wire_header *h, uint64_t at, s
             return fault_set(f, FAULT_BAD_FDS, "header.n_fds",
                              "%s says that it brings %u descriptors, none came with its first byte",
                              wire_type_name(h->type), h->n_fds);
+        // The control buffer has room for far more: what is missing found no place in this process's table.
+        if (s->truncated && s->n < h->n_fds)
+            return fault_set(f, FAULT_NO_MEMORY, "header.n_fds",
+                             "%s brings %u descriptors, no more than %u are free here", wire_type_name(h->type),
+                             h->n_fds, s->n);
         if (s->truncated || s->n != h->n_fds)
             return fault_set(f, FAULT_BAD_FDS, "header.n_fds",
                              "%s says that it brings %u descriptors, %u came%s", wire_type_name(h->type),

@@ -68,7 +68,7 @@ struct world {
 };
 
 static bool warm_idle;
-static uint64_t work_bytes; // 0: plenty
+static uint64_t work_bytes, user_work_bytes; // 0: plenty
 static _Atomic int all_drawn; // how often it was logged
 
 static void count_line(const char *line) { all_drawn += strstr(line, "all pipelines have drawn") != NULL; }
@@ -84,7 +84,9 @@ static void open_world(struct world *w, unsigned slots, int lost_from, int lost_
     w->env = (struct job_env){ .limits = { .max_frame_bytes = 1 << 30 }, .blocks = &w->blocks };
     const uint64_t plenty = UINT64_C(1) << 40;
     struct sched_config config = { .threads = 2, .slots = slots, .warm_idle = warm_idle, .log = count_line };
-    config.limits = (struct sched_limits){ work_bytes ? work_bytes : plenty, plenty, plenty, plenty, 10000 };
+    config.limits = (struct sched_limits){ work_bytes ? work_bytes : plenty, plenty, plenty, plenty, 10000, 10000, 10000 };
+    if (user_work_bytes)
+        config.limits.user_work_bytes = user_work_bytes;
     struct fault f;
     if (sched_create(&w->sched, &config, &f) < 0)
         fail_msg("%s", f.text);
@@ -571,6 +573,75 @@ static void test_room(void **state)
     work_bytes = 0;
 }
 
+static uint64_t held_by(struct world *w, uid_t uid)
+{
+    static struct sched_user_facts users[SCHED_USERS_SHOWN];
+    unsigned n = sched_users(w->sched, users);
+    for (unsigned i = 0; i < n; i++)
+        if (users[i].uid == uid)
+            return users[i].bytes;
+    fail_msg("no user %u", (unsigned)uid);
+    return 0;
+}
+
+// A user's frames never have more at work than the user may, however many of them could have a turn at once; one that has too much by results
+// that nobody reads keeps nobody else from being served, and goes on when they are read.
+static void test_user_room(void **state)
+{
+    (void)state;
+    enum { LARGE = 256, FRAMES = 24 };
+    const uint64_t one = (uint64_t)LARGE * LARGE * 12;
+    struct world w;
+    struct job *j;
+    user_work_bytes = one + one / 2; // of two only one
+    open_world(&w, 3, 0, 0, 1);
+    uint64_t inputs = 0;
+    for (uint64_t i = 0; i < FRAMES; i++) {
+        j = make_sized(&w, i + 1, i % 3 == 2 ? 64 : LARGE);
+        inputs += j->input.size;
+        submit(&w, (unsigned)(i % 2), j);
+    }
+    for (uint64_t i = 0; i < FRAMES; i++)
+        submit(&w, 2, make_sized(&w, 100 + i, 64));
+    unsigned done[2] = { 0, 0 };
+    while (done[0] + done[1] < 2 * FRAMES) {
+        j = next_done(&w);
+        if (!j->finished)
+            fail_msg("job %llu: %s", (unsigned long long)j->id, j->fault.text);
+        done[j->id >= 100]++;
+        const uint64_t work = held_by(&w, 1000) - inputs;
+        if (work > user_work_bytes)
+            fail_msg("%llu bytes at work; at most %llu are this user's", (unsigned long long)work, (unsigned long long)user_work_bytes);
+        inputs -= j->id < 100 ? j->input_held : 0;
+        drop(&w, j);
+    }
+    assert_int_equal(done[0], FRAMES);
+    // One result is not read; three more wait, and hold neither a slot nor the other user.
+    submit(&w, 0, make_sized(&w, 1, LARGE));
+    struct job *unread = next_done(&w);
+    for (uint64_t i = 2; i <= 4; i++)
+        submit(&w, 0, make_sized(&w, i, LARGE));
+    for (uint64_t i = 0; i < 6; i++)
+        submit(&w, 2, make_sized(&w, 100 + i, LARGE));
+    for (int i = 0; i < 6; i++) {
+        j = next_done(&w);
+        assert_in_range(j->id, 100, 105);
+        drop(&w, j);
+    }
+    assert_null(sched_done(w.sched));
+    assert_int_equal(sched_counts(w.sched).waiting, 3);
+    drop(&w, unread);
+    for (uint64_t i = 2; i <= 4; i++) {
+        j = next_done(&w);
+        assert_int_equal(j->id, i); // in their order
+        assert_true(j->finished);
+        drop(&w, j);
+    }
+    assert_int_equal(held_by(&w, 1000), 0);
+    close_world(&w);
+    user_work_bytes = 0;
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -579,6 +650,7 @@ int main(void)
         cmocka_unit_test(test_priorities),
         cmocka_unit_test(test_deadlines),
         cmocka_unit_test(test_room),
+        cmocka_unit_test(test_user_room),
         cmocka_unit_test(test_warm_when_idle),
         cmocka_unit_test(test_cancel_anywhere),
         cmocka_unit_test(test_device_lost_once),

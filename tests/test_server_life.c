@@ -403,6 +403,7 @@ static void test_options(void **state)
         { { "--user-connections", "0", NULL }, "--user-connections", 2 },
         { { "--user-requests", "0", NULL }, "--user-requests", 2 },
         { { "--user-bytes", "some", NULL }, "--user-bytes", 2 },
+        { { "--user-fds", "7", NULL }, "--user-fds: \"7\"; expected a whole number from 8", 2 },
         { { "--nonsense", NULL }, "--nonsense", 2 },
         { { "--socket", NULL }, "--socket", 2 },
         { { "stray", NULL }, "stray", 2 },

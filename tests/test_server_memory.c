@@ -80,7 +80,7 @@ static int start(void **state)
     lifetime = ends[1];
     struct server_config c = {
         .sched = { .threads = 2, .slots = 2, .log = say, .device = { .log = say },
-                   .limits = { 512 * mib, 64 * mib, 512 * mib, 64 * mib, 1000 } },
+                   .limits = { 512 * mib, 64 * mib, 512 * mib, 64 * mib, 1000, 1000, 1000 } },
         .limits = { .max_frame_bytes = 16 * mib,
                     .exr = { .max_width = 4096, .max_height = 4096, .max_pixels = 1 << 24, .max_decoded_bytes = 256 * mib } },
         .memory_bytes = 1024 * mib, .held_bytes_max = 64 * mib, .credit_bytes = 32 * mib, .idle_bytes_max = 0, .asset_bytes_max = mib,

@@ -37,7 +37,10 @@ $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
 # The daemon's own allocations can be refused.
 $(T)/test_server_memory: LDFLAGS += -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=mmap
-$(T)/test_server_limits $(T)/test_server_memory: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+$(T)/test_server_limits $(T)/test_server_memory $(T)/test_server_faults: $(T)/daemon_fixture.o $(T)/daemon_picture.o
+
+# What the engine allocates is counted.
+$(T)/test_room: LDFLAGS += -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=aligned_alloc,--wrap=free,--wrap=vkAllocateMemory,--wrap=vkFreeMemory
 
 # What a wall hands to its boards is recorded in their place.
 $(T)/test_wall_boards: LDFLAGS += -Wl,--wrap=usb_board_add,--wrap=usb_board_remove,--wrap=usb_board_send,--wrap=usb_board_idle,--wrap=usb_board_stats
