@@ -66,7 +66,6 @@ int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid, unsigne
     if (u) {
         *connections = ++u->flows_open;
         flow->user = u;
-        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
     }
     pthread_mutex_unlock(&s->lock);
     return u ? 0 : -ENOMEM;
@@ -79,7 +78,6 @@ void sched_flow_close(struct sched *s, struct sched_flow *flow)
         return;
     pthread_mutex_lock(&s->lock);
     assert(TAILQ_EMPTY(&flow->waiting));
-    TAILQ_REMOVE(&u->flows, flow, of_user);
     u->flows_open--;
     flow->user = NULL;
     note_idle(s, u);
