@@ -115,6 +115,9 @@ static void back_again(const struct supervised *s, struct picture_job *job, doub
         ms = picture_job_try(job, a, &e);
         airy_close(a);
     }
+    if (getenv("AIRY_BENCH_VERBOSE"))
+        fprintf(stderr, "connected after %.0f ms, a frame after %.0f ms; %u starts\n", connected, now_ms() - from,
+                atomic_load(&s->shared->starts));
     series_add(&b->connected, connected);
     series_add(&b->frame, now_ms() - from);
 }
