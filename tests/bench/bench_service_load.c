@@ -98,8 +98,9 @@ static void crowd_stop(struct crowd *c)
     c->users = 0;
 }
 
-// What the ranges left behind is cancelled, but what was at the device ends first.
-static void wait_idle(const struct service *s)
+// What the ranges left behind is cancelled, but what was at the device ends first. Returns the longest turn of the daemon's loop so far, ms:
+// a STATUS that took longer waited for a core, here or there, and not for the daemon.
+static double wait_idle(const struct service *s)
 {
     struct airy *a = service_connect(s);
     struct airy_status *status = take(1, sizeof *status);
@@ -109,8 +110,10 @@ static void wait_idle(const struct service *s)
         if (airy_status(a, status, 30000, &e) < 0)
             die("STATUS: %s", e.text);
     } while (status->queued || status->running);
+    const double worst_ms = status->loop_worst_ms;
     free(status);
     airy_close(a);
+    return worst_ms;
 }
 
 /* ---- the table ----------------------------------------------------------------------------------------- */
@@ -123,6 +126,7 @@ struct cell { /* of one phase and kind */
 struct table {
     struct cell cell[PHASES][KINDS];
     double frames_per_s[PHASES][LOAD_ROUNDS_MAX];
+    double loop_worst_ms; /* the daemon's own */
     unsigned rounds;
 };
 
@@ -181,6 +185,7 @@ static void table_print(struct table *t, const struct crowd *c, unsigned users)
         for (unsigned p = 0; p < PHASES; p++)
             cell_print(t, p, k, phases[p]);
     }
+    printf(" longest turn of the daemon's loop, by its own clock: %.2f ms\n", t->loop_worst_ms);
     printf(" frames of the range a second, all users: one user %.2f, %s %.2f%s\n", median_of(t->frames_per_s[PHASE_ONE], t->rounds), crowd,
            median_of(t->frames_per_s[PHASE_CROWD], t->rounds), c->own_uids ? "" : " (not root: all with this uid, so one user to the daemon)");
 }
@@ -205,7 +210,7 @@ static void phase_run(struct table *t, struct crowd *c, enum phase phase, unsign
     probe_run(c->service, exr, raw, o->seconds, &p);
     t->frames_per_s[phase][t->rounds] = (double)(atomic_load(c->frames) - before) / (now_ms() - from) * 1e3;
     crowd_stop(c);
-    wait_idle(c->service);
+    t->loop_worst_ms = wait_idle(c->service);
     table_take(t, phase, &p);
     probe_free(&p);
 }
