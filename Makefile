@@ -70,6 +70,7 @@ help:
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make bench-wall  a wall's picture, pass by pass;  make bench-usb  ten emulated controllers, SECONDS=60 each"
+	@echo "make bench-service  STATUS and small jobs under load, 10,000 connections, kill -9, memory over FRAMES=100000 (about 12 minutes)"
 	@echo "make report   speed against error, hard cases, shimmer, pictures -> build/report/index.html (about 5 minutes)"
 	@echo "make check-usb  the wall against a real kernel's USB in QEMU (optional; downloads Debian's kernel, minutes)"
 	@echo "make soak     random requests against the float64 reference for MINUTES=30"

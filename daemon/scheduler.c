@@ -463,11 +463,13 @@ uint64_t sched_expire(struct sched *s, uint64_t now_ns)
     pthread_mutex_lock(&s->lock);
     if (s->deadlines) {
         struct sched_user *u;
-        struct sched_flow *flow;
+        struct sched_flow *flow, *after;
         next = expire_queue(s, &s->lane[LANE_WALLS].waiting, now_ns, next);
         TAILQ_FOREACH(u, &s->users, link)
-        TAILQ_FOREACH(flow, &u->flows, of_user)
-        next = expire_queue(s, &flow->waiting, now_ns, next);
+        for (flow = TAILQ_FIRST(&u->flows); flow; flow = after) {
+            after = TAILQ_NEXT(flow, of_user); // a flow without a job is not on the list
+            next = expire_queue(s, &flow->waiting, now_ns, next);
+        }
     }
     pthread_mutex_unlock(&s->lock);
     return next;

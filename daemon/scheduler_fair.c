@@ -42,8 +42,11 @@ void fair_push(struct sched *s, struct sched_flow *flow, struct job *j)
     struct sched_user *u = flow->user;
     if (!u->queued && !u->running)
         u->served_ms = fmax(u->served_ms, s->virtual_ms);
-    if (TAILQ_EMPTY(&flow->waiting) && !flow->running)
-        flow->served_ms = fmax(flow->served_ms, u->virtual_ms);
+    if (TAILQ_EMPTY(&flow->waiting)) {
+        if (!flow->running)
+            flow->served_ms = fmax(flow->served_ms, u->virtual_ms);
+        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
+    }
     j->units = units_of(j);
     u->queued++;
     struct job *before = TAILQ_LAST(&flow->waiting, job_queue);
@@ -58,7 +61,10 @@ void fair_push(struct sched *s, struct sched_flow *flow, struct job *j)
 
 void fair_remove(struct job *j)
 {
-    TAILQ_REMOVE(&j->flow->waiting, j, link);
+    struct sched_flow *flow = j->flow;
+    TAILQ_REMOVE(&flow->waiting, j, link);
+    if (TAILQ_EMPTY(&flow->waiting))
+        TAILQ_REMOVE(&j->user->flows, flow, of_user);
     j->linked = false;
     j->user->queued--;
 }
@@ -70,8 +76,7 @@ static struct sched_flow *flow_first(struct sched_user *u)
     TAILQ_FOREACH(flow, &u->flows, of_user)
     {
         const struct job *j = TAILQ_FIRST(&flow->waiting);
-        if (!j || (best && j->priority < priority) ||
-            (best && j->priority == priority && flow->served_ms >= best->served_ms))
+        if (best && (j->priority < priority || (j->priority == priority && flow->served_ms >= best->served_ms)))
             continue;
         best = flow;
         priority = j->priority;
@@ -113,8 +118,10 @@ void fair_take(struct sched *s, struct job *j)
     u->running++;
     flow->running++;
     charge(j, j->units * price(s, flow));
-    TAILQ_REMOVE(&u->flows, flow, of_user);
-    TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
+    if (!TAILQ_EMPTY(&flow->waiting)) {
+        TAILQ_REMOVE(&u->flows, flow, of_user);
+        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
+    }
     TAILQ_REMOVE(&s->users, u, link);
     TAILQ_INSERT_TAIL(&s->users, u, link);
 }

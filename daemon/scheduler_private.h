@@ -20,7 +20,7 @@ struct sched_user {
     double served_ms, virtual_ms;       /* virtual_ms: what the flow served last had then */
     uint64_t idle_ns;
     TAILQ_ENTRY(sched_user) link;
-    TAILQ_HEAD(, sched_flow) flows; /* served longest ago first */
+    TAILQ_HEAD(, sched_flow) flows; /* that have a job waiting; served longest ago first */
 };
 
 struct sched_slot {

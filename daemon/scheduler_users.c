@@ -67,7 +67,6 @@ int sched_flow_open(struct sched *s, struct sched_flow *flow, uid_t uid, unsigne
         *connections = ++u->flows_open;
         s->fds++;
         flow->user = u;
-        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
     }
     pthread_mutex_unlock(&s->lock);
     return u ? 0 : -ENOMEM;
@@ -80,7 +79,6 @@ void sched_flow_close(struct sched *s, struct sched_flow *flow)
         return;
     pthread_mutex_lock(&s->lock);
     assert(TAILQ_EMPTY(&flow->waiting));
-    TAILQ_REMOVE(&u->flows, flow, of_user);
     u->flows_open--;
     u->fds -= flow->fds;
     s->fds -= flow->fds + 1;

@@ -28,6 +28,8 @@ struct watch {
     uint32_t events; // as epoll has them
     struct client *client;
     TAILQ_ENTRY(watch) link; // clients
+    TAILQ_ENTRY(watch) of_busy;
+    bool busy;
 };
 TAILQ_HEAD(watch_list, watch);
 
@@ -39,6 +41,7 @@ struct server {
     int epoll_fd;
     unsigned max_clients;
     struct watch_list clients, dead;
+    struct watch_list busy; // of clients, by of_busy: all that have something in hand; of 10,000 that only listen none is looked at
     uint64_t tick_ns;
     uint64_t watchdog_ns, fed_ns; // watchdog_ns: what systemd grants; 0: nobody watches
     bool stuck;
@@ -57,6 +60,26 @@ static int watch(struct server *s, struct watch *w, uint32_t events)
 
 static void unwatch(struct server *s, struct watch *w) { epoll_ctl(s->epoll_fd, EPOLL_CTL_DEL, w->fd, NULL); }
 
+static void note_busy(struct server *s, struct watch *w, bool busy)
+{
+    if (busy == w->busy)
+        return;
+    w->busy = busy;
+    if (busy)
+        TAILQ_INSERT_TAIL(&s->busy, w, of_busy);
+    else
+        TAILQ_REMOVE(&s->busy, w, of_busy);
+}
+
+static void client_bury(struct server *s, struct watch *w)
+{
+    note_busy(s, w, false);
+    client_destroy(w->client);
+    w->client = NULL;
+    TAILQ_REMOVE(&s->clients, w, link);
+    TAILQ_INSERT_TAIL(&s->dead, w, link);
+}
+
 // After anything that a client did or was done to it. Its watch stays until the loop's events, which
 // may name it, are all handled.
 static void client_update(struct server *s, struct watch *w)
@@ -65,12 +88,10 @@ static void client_update(struct server *s, struct watch *w)
         return;
     if (client_dead(w->client)) {
         unwatch(s, w);
-        client_destroy(w->client);
-        w->client = NULL;
-        TAILQ_REMOVE(&s->clients, w, link);
-        TAILQ_INSERT_TAIL(&s->dead, w, link);
+        client_bury(s, w);
         return;
     }
+    note_busy(s, w, !client_idle(w->client));
     uint32_t events = client_events(w->client);
     if (events == w->events)
         return;
@@ -128,10 +149,7 @@ static void client_add(struct server *s, int fd)
     }
     TAILQ_INSERT_TAIL(&s->clients, w, link);
     if (watch(s, w, EPOLLIN) < 0) {
-        client_destroy(w->client);
-        w->client = NULL;
-        TAILQ_REMOVE(&s->clients, w, link);
-        TAILQ_INSERT_TAIL(&s->dead, w, link);
+        client_bury(s, w);
         return;
     }
     client_update(s, w); // it may have been turned away
@@ -237,14 +255,15 @@ static bool drained(struct server *s)
 static void on_sched(struct server *s)
 {
     sched_event_clear(s->host.sched);
-    each_client(s, client_progress);
+    struct watch *w, *next;
+    TAILQ_FOREACH(w, &s->busy, of_busy)
+    client_progress(w->client);
     struct job *j;
     while ((j = sched_done(s->host.sched)))
         client_job_done(&s->host, j);
     // Replies change what their clients wait for.
-    struct watch *w, *next;
-    for (w = TAILQ_FIRST(&s->clients); w; w = next) {
-        next = TAILQ_NEXT(w, link);
+    for (w = TAILQ_FIRST(&s->busy); w; w = next) {
+        next = TAILQ_NEXT(w, of_busy);
         client_update(s, w);
     }
     if (sched_counts(s->host.sched).device_dead && !s->host.draining) {
@@ -457,6 +476,7 @@ int server_create(struct server **out, const struct server_config *config, struc
     s->lifetime = (struct watch){ .kind = WATCH_LIFETIME, .fd = config->lifetime_fd };
     TAILQ_INIT(&s->clients);
     TAILQ_INIT(&s->dead);
+    TAILQ_INIT(&s->busy);
     block_pool_init(&s->host.blocks, config->idle_bytes_max);
     asset_cache_init(&s->host.assets, config->asset_bytes_max);
     if (open_watchdog(s, f) < 0 || open_signals(s, f) < 0 || walls_create(&s->host.walls, &s->host.assets, config->log, f) < 0 ||

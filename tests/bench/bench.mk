@@ -31,6 +31,15 @@ $(BUILD)/bench/bench_wall: $(call obj,tests/bench/bench_wall.c $(filter-out test
 	$(call say,LD $@)
 	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(BENCH_LIBS)
 
+# The daemon as a service: load, connections, kills, memory. FRAMES= small frames; SERVICE= more of its options, parts of it.
+FRAMES ?= 100000
+SERVICE ?=
+$(BUILD)/bench/bench_service: $(call obj,$(wildcard tests/bench/bench_service*.c) $(filter-out tests/bench/airy_bench.c tests/bench/run_%,$(BENCH_SOURCES)) \
+	tests/reference/reference.c) $(ARCHIVES)
+	@mkdir -p $(@D)
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) $(filter %.o,$^) -o $@ $(BENCH_LIBS)
+
 # Ten emulated boards, SECONDS= each (default 60).
 SECONDS ?= 60
 $(BUILD)/bench/bench_wall_usb: $(call obj,tests/bench/bench_wall_usb.c tests/usb_kit.c tests/usb_kit_model.c) $(BUILD)/libairy.a
@@ -39,7 +48,9 @@ $(BUILD)/bench/bench_wall_usb: $(call obj,tests/bench/bench_wall_usb.c tests/usb
 	$(Q)$(CC) $(LDFLAGS) $^ -o $@ $(LIBS_PROTO) -llz4 $(shell pkg-config --libs umockdev-1.0 2>/dev/null)
 $(BUILD)/tests/bench/bench_wall_usb.o: CPPFLAGS += -Itests
 
-.PHONY: bench bench-wall bench-usb
+.PHONY: bench bench-wall bench-usb bench-service
+bench-service: all $(BUILD)/bench/bench_service
+	@$(BUILD)/bench/bench_service --airyd $(BUILD)/airyd --airy $(BUILD)/airy --frames $(FRAMES) $(SERVICE)
 bench-usb: $(BUILD)/airyd $(BUILD)/bench/bench_wall_usb
 	@umockdev-wrapper $(BUILD)/bench/bench_wall_usb $(BUILD)/airyd $(SECONDS)
 bench-wall: $(BUILD)/bench/bench_wall
