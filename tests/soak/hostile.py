@@ -162,6 +162,7 @@ class Session:
         self.rng, self.folder = rng, folder
         self.cases: list[Case] = [c for c in spec["cases"] if not c["dirt"] and os.path.getsize(c["input"]) < CREDIT_BYTES]
         self.files = [c for c in self.cases if not c["raw"]]
+        self.small = [c for c in self.cases if c["pixels"] < 2**20]
 
     def case(self, files: bool = False) -> tuple[Case, bytes]:
         case = self.rng.choice(self.files if files else self.cases)
@@ -407,32 +408,53 @@ def crowd(s: Session) -> str:
             p.close()
 
 
-def wall_session(s: Session) -> str:
-    """A wall without boards, frames for it, and away without a word."""
-    name = f"w{s.rng.randrange(10**9)}"
+def open_wall(p: Peer, name: str) -> str:
+    """A wall without boards. What the daemon said against it, or nothing."""
     text = (
         f"wall: {name}\nrate: 50\nhold: forever\npicture: {{tone map: aces}}\npanels:\n"
         "  - {grid: [2, 1], name: tile, size: [16, 16], wiring: {serpentine: true}}\n"
         f"boards:\n  - {{serial: {name.upper()}, panels: [tile]}}\n"
     )
-    plain = [c for c in s.cases if not c["params"] and c["pixels"] < 2**20] or [{**s.case()[0], "params": {}, "exr": {}}]
-    case = s.rng.choice(plain)
+    p.send(Type.WALL, 77, pb.Wall(action=pb.Wall.OPEN, definition=text))
+    while (message := p.next()) is not None and message[0].type not in (Type.WALL_REPLY, Type.ERROR):
+        pass
+    if message is not None and message[0].type == Type.WALL_REPLY:
+        return ""
+    if message is None or message[1].symbol not in ("BUSY", "LIMIT"):
+        raise Wrong(f"{message and message[1].text} at the opening of a wall")
+    return str(message[1].symbol)
+
+
+def send_picture(s: Session, p: Peer, id: int, case: Case, name: str) -> None:
+    case = {**case, "params": {}, "exr": {}}
     data = Path(case["input"]).read_bytes()
+    p.send(Type.BLOOM, id, s.bloom(case, pb.Payload.INLINE, len(data), pb.Output.WALL, wall=pb.WallTarget(name=name)))
+    p.data(id, data)
+
+
+def wall_session(s: Session) -> str:
+    """A wall, frames for it, and away without a word."""
+    name = f"w{s.rng.randrange(10**9)}"
     with Peer(s.path) as p:
-        p.send(Type.WALL, 77, pb.Wall(action=pb.Wall.OPEN, definition=text))
-        while (message := p.next()) is not None and message[0].type not in (Type.WALL_REPLY, Type.ERROR):
-            pass
-        if message is None or message[0].type == Type.ERROR:
-            if message is None or message[1].symbol not in ("BUSY", "LIMIT"):
-                raise Wrong(f"{message and message[1].text} at the opening of a wall")
-            return message[1].symbol
+        if said := open_wall(p, name):
+            return said
         for id in range(1, s.rng.randint(2, 6)):
-            p.send(Type.BLOOM, id, s.bloom(case, pb.Payload.INLINE, len(data), pb.Output.WALL, wall=pb.WallTarget(name=name)))
-            p.data(id, data)
+            send_picture(s, p, id, s.rng.choice(s.small), name)
         if s.rng.random() < 0.5:
             p.send(Type.WALL, 78, pb.Wall(action=pb.Wall.PREVIEW, name=name))
         time.sleep(s.rng.random() * 0.3)
     return "left"
+
+
+def every_picture_on_a_wall(s: Session) -> None:
+    """What a daemon makes for the first of its kind (threads, tables) is there afterwards."""
+    with Peer(s.path) as p:
+        if said := open_wall(p, "warm"):
+            raise Wrong(said)
+        for id, case in enumerate(s.small, 1):
+            send_picture(s, p, id, case, "warm")
+            if (end := p.ends({id})[id]).type != Type.RESULT:
+                raise Wrong(f"{end.said} for a picture on a wall: {case}")
 
 
 FAULTS: dict[str, Callable[[Session], str]] = {

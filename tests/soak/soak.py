@@ -16,15 +16,15 @@ from pathlib import Path
 
 from cases import Inputs, make_cases, truths
 from host import Daemon, until
-from hostile import Session, wall_session
+from hostile import Session, every_picture_on_a_wall
 from kills import Kills
 from load import Load, Plan
 from tally import Tally, Tap, percentile, quarters
 
 TIMEOUT_S = 20  # of the daemon: for a stalled upload, a reply not read
 LARGE_CASES, SMALL_CASES = 48, 12
-# Small against what the load would like to have, so that admission is a part of the test.
-DAEMON_OPTIONS = ["--warm", "common", "--threads", "2", "--timeout-s", str(TIMEOUT_S), "--memory-bytes", "3G"]
+# Two frames of 4K at work and no more: admission is a part of the test.
+DAEMON_OPTIONS = ["--warm", "common", "--threads", "2", "--timeout-s", str(TIMEOUT_S), "--memory-bytes", "6G"]
 
 
 def settle(daemon: Daemon) -> None:
@@ -63,10 +63,8 @@ def loaded(plan: Plan, tap: Tap, seed: int, seconds: float, rests: int, large: b
     daemon.wait_ready()
     start = time.monotonic()
     plan.truth = truths(daemon.path, plan.cases)
-    # What is made once, for the first wall, is no leak.
-    spec = {"socket": daemon.path, "cases": plan.cases, "stall_s": 0}
     for _ in range(2):
-        wall_session(Session(spec, random.Random(seed), plan.work))
+        every_picture_on_a_wall(Session({"socket": daemon.path, "cases": plan.cases, "stall_s": 0}, random.Random(seed), plan.work))
         settle(daemon)
     idle = daemon.sample()
     print(f"# {len(plan.cases)} cases, {len(set(plan.truth.values()))} different, in {time.monotonic() - start:.1f} s; idle: {idle.fds} descriptors, {idle.threads} threads, {idle.rss_mib:.0f} MiB", flush=True)

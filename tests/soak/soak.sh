@@ -9,7 +9,7 @@ export AIRY AIRYD SCENE WORK NODE NODE_PACKAGE PYTHONPATH PYTHONDONTWRITEBYTECOD
 AIRY=$(realpath "${AIRY:-$BUILD/airy}")
 AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
 SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-export MESA_SHADER_CACHE_DIR=${MESA_SHADER_CACHE_DIR:-$PWD/$BUILD/shader-cache}
+export MESA_SHADER_CACHE_DIR=${MESA_SHADER_CACHE_DIR:-$(realpath "$BUILD")/shader-cache}
 unset AIRY_SOCKET XDG_RUNTIME_DIR
 
 # Debian's python3 has Debian's protobuf; another one first in PATH may not.
@@ -22,8 +22,8 @@ if [ -z "$python" ]; then
     echo "1..1"
     exit 0
 fi
-make --no-print-directory -s python BUILD="$BUILD" || exit 1
-PYTHONPATH=$PWD/$BUILD/python
+make --no-print-directory -s python BUILD="$BUILD" >&2 || exit 1
+PYTHONPATH=$(realpath "$BUILD")/python
 
 WORK=$(mktemp -d "${TMPDIR:-/tmp}/airy-soak-XXXXXX")
 child=
