@@ -35,7 +35,9 @@ async function one(airy, c) {
 }
 
 const end = performance.now() + 1000 * Number(seconds);
-const airy = await connect({ path: spec.socket, timeoutMs: 120000 });
+// Where daemons are killed it finds the next one, and asks again what was in flight.
+const reconnect = spec.reconnect ? { attempts: 1000, delayMsMax: 200 } : false;
+const airy = await connect({ path: spec.socket, timeoutMs: 120000, reconnect });
 while (performance.now() < end) {
   const first = spec.cases[below(spec.cases.length)];
   const small = spec.cases.filter((c) => c.pixels <= 2 ** 20);

@@ -158,7 +158,6 @@ class Session:
 
     def __init__(self, spec: dict[str, Any], rng: random.Random, folder: Path) -> None:
         self.path: str = spec["socket"]
-        self.stall_s: float = spec["stall_s"]
         self.rng, self.folder = rng, folder
         self.cases: list[Case] = [c for c in spec["cases"] if not c["dirt"] and os.path.getsize(c["input"]) < CREDIT_BYTES]
         self.files = [c for c in self.cases if not c["raw"]]
@@ -252,7 +251,10 @@ def stalled_upload(s: Session) -> str:
     with Peer(s.path) as p:
         p.send(Type.BLOOM, 1, s.bloom(case, pb.Payload.INLINE, len(data)))
         p.data(1, data[: len(data) // 2])
-        return "timed out " + p.closes()
+        ended = p.ends({1})[1]
+    if ended.type != Type.ERROR:
+        raise Wrong(f"{ended.said} for half an upload")
+    return ended.said
 
 
 def slow_reader(s: Session) -> str:
@@ -425,10 +427,12 @@ def open_wall(p: Peer, name: str) -> str:
     return str(message[1].symbol)
 
 
-def send_picture(s: Session, p: Peer, id: int, case: Case, name: str) -> None:
-    case = {**case, "params": {}, "exr": {}}
+def send_picture(s: Session, p: Peer, id: int, case: Case, name: str, output: int = pb.Output.WALL, **params: str) -> None:
+    """To the wall, or (name "") back as any frame."""
+    case = {**case, "params": params, "exr": {}}
     data = Path(case["input"]).read_bytes()
-    p.send(Type.BLOOM, id, s.bloom(case, pb.Payload.INLINE, len(data), pb.Output.WALL, wall=pb.WallTarget(name=name)))
+    target = {"wall": pb.WallTarget(name=name)} if name else {}
+    p.send(Type.BLOOM, id, s.bloom(case, pb.Payload.INLINE, len(data), output, **target))
     p.data(id, data)
 
 
@@ -446,15 +450,21 @@ def wall_session(s: Session) -> str:
     return "left"
 
 
-def every_picture_on_a_wall(s: Session) -> None:
-    """What a daemon makes for the first of its kind (threads, tables) is there afterwards."""
+def first_of_each_kind(s: Session) -> None:
+    """What a daemon makes for the first of its kind (threads of walls, of kernels) is there afterwards."""
+    ways: list[tuple[str, int, dict[str, str]]] = [
+        (name, output, params)
+        for name, output in (("warm", pb.Output.WALL), ("warm", pb.Output.INLINE), ("", pb.Output.INLINE))
+        for params in ({}, {"psf": "eye"})
+    ]
     with Peer(s.path) as p:
         if said := open_wall(p, "warm"):
             raise Wrong(said)
-        for id, case in enumerate(s.small, 1):
-            send_picture(s, p, id, case, "warm")
+        pictures = [(c, *ways[0]) for c in s.small] + [(s.small[-1], *way) for way in ways]
+        for id, (case, name, output, params) in enumerate(pictures, 1):
+            send_picture(s, p, id, case, name, output, **params)
             if (end := p.ends({id})[id]).type != Type.RESULT:
-                raise Wrong(f"{end.said} for a picture on a wall: {case}")
+                raise Wrong(f"{end.said} ({getattr(end.body, 'text', '')}) for {case}, wall {name!r}, {params}")
 
 
 FAULTS: dict[str, Callable[[Session], str]] = {
@@ -481,7 +491,7 @@ def main() -> None:
     end = time.monotonic() + float(sys.argv[3])
     with tempfile.TemporaryDirectory(dir=spec["work"]) as folder:
         session = Session(spec, rng, Path(folder))
-        for name in turns(rng, spec["stall_s"] > 0):
+        for name in turns(rng, bool(spec.get("stall"))):
             if time.monotonic() > end:
                 break
             try:

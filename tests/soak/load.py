@@ -42,9 +42,9 @@ class Plan:
     truth: dict[int, str]
     tally: Tally
 
-    def spec(self, name: str, daemon: Daemon, stall_s: float) -> Path:
+    def spec(self, name: str, daemon: Daemon, **more: Any) -> Path:
         path = self.work / name
-        path.write_text(json.dumps({"socket": daemon.path, "cases": self.cases, "work": str(self.work), "stall_s": stall_s}))
+        path.write_text(json.dumps({"socket": daemon.path, "cases": self.cases, "work": str(self.work), **more}))
         return path
 
     def judge(self, kind: str, line: dict[str, Any], seed: int) -> None:
@@ -219,9 +219,9 @@ def command_options(case: Case) -> list[str]:
 
 
 class Load:
-    def __init__(self, plan: Plan, daemon: Daemon, idle: Sample, seed: int, stall_s: float) -> None:
+    def __init__(self, plan: Plan, daemon: Daemon, idle: Sample, seed: int, stall: bool) -> None:
         self.plan, self.daemon, self.idle = plan, daemon, idle
-        self.spec = plan.spec("load.json", daemon, stall_s)
+        self.spec = plan.spec("load.json", daemon, stall=stall)
         self.lanes = [Lane(plan, daemon, self.spec, i, seed) for i in range(LANES)]
         self.idle_descriptors = daemon.descriptors()
 
@@ -247,7 +247,7 @@ class Load:
     def rest(self) -> None:
         """All clients are gone: so must be all that was theirs."""
         same = lambda: self.daemon.sample()[1:] == self.idle[1:]
-        if not until(same, REST_S):
+        if not until(same, 1 if "idle" in self.plan.tally.failures else REST_S):
             now = self.daemon.sample()
             more = [d for d in self.daemon.descriptors() if d not in self.idle_descriptors]
             self.plan.tally.wrong("idle", f"{now.fds} descriptors, {now.threads} threads {REST_S} s after the last client; idle: {self.idle.fds}, {self.idle.threads}; {more[:8]}")

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from cases import Inputs, make_cases, truths
 from host import Daemon, until
-from hostile import Session, every_picture_on_a_wall
+from hostile import Session, first_of_each_kind
 from kills import Kills
 from load import Load, Plan
 from tally import Tally, Tap, percentile, quarters
@@ -28,11 +28,11 @@ DAEMON_OPTIONS = ["--warm", "common", "--threads", "2", "--timeout-s", str(TIMEO
 
 
 def settle(daemon: Daemon) -> None:
-    """Nothing changes any more: twice the same a second apart."""
+    """Nothing changes any more: twice the same, half a second apart."""
     last = [daemon.sample()[1:]]
 
     def same() -> bool:
-        time.sleep(1)
+        time.sleep(0.5)
         last.append(daemon.sample()[1:])
         return last[-1] == last[-2]
 
@@ -64,11 +64,11 @@ def loaded(plan: Plan, tap: Tap, seed: int, seconds: float, rests: int, large: b
     start = time.monotonic()
     plan.truth = truths(daemon.path, plan.cases)
     for _ in range(2):
-        every_picture_on_a_wall(Session({"socket": daemon.path, "cases": plan.cases, "stall_s": 0}, random.Random(seed), plan.work))
+        first_of_each_kind(Session({"socket": daemon.path, "cases": plan.cases}, random.Random(seed), plan.work))
         settle(daemon)
     idle = daemon.sample()
     print(f"# {len(plan.cases)} cases, {len(set(plan.truth.values()))} different, in {time.monotonic() - start:.1f} s; idle: {idle.fds} descriptors, {idle.threads} threads, {idle.rss_mib:.0f} MiB", flush=True)
-    load = Load(plan, daemon, idle, seed, TIMEOUT_S if large else 0)
+    load = Load(plan, daemon, idle, seed, large)
     load.run(seconds, rests)
     for kind in ["python", "command", "hostile"] + ["node"] * bool(plan.node):
         if not tally.counts["clients", kind]:
