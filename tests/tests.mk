@@ -97,14 +97,6 @@ check-built:
 	@$(MAKE) --no-print-directory fuzz-built
 	@BUILD=$(BUILD) bash tests/run.sh
 
-# Random scenes, each of a new seed, for MINUTES; it ends in the worst ratio of error to stated bound, and a failure prints the
-# seed that makes its scene again. SOAK_SEED= makes a whole soak again.
-MINUTES ?= 30
-SOAK_SEED ?= $(shell date +%s)000
-.PHONY: soak
-soak: $(T)/test_property
-	AIRY_SEED=$(SOAK_SEED) AIRY_MINUTES=$(MINUTES) $(T)/test_property
-
 # A real workload manager is too heavy for check.
 .PHONY: farm-test
 farm-test: deps
@@ -112,6 +104,7 @@ farm-test: deps
 	@$(SUB) all $(BUILD)/demo/scene
 	@BUILD=$(BUILD) bash tests/farm_slurm.sh
 
+include tests/soak/soak.mk
 include tests/bench/bench.mk
 include tests/report/report.mk
 include tests/fuzz/fuzz.mk
