@@ -41,7 +41,7 @@ int LLVMFuzzerInitialize(int *argc, char ***argv)
 {
     const uint64_t mib = 1 << 20;
     const struct sched_config config = { .threads = 1, .slots = 1, .device = { .threads = 1 },
-                                         .limits = { 64 * mib, 8 * mib, 64 * mib, 8 * mib, 16 } };
+                                         .limits = { 64 * mib, 8 * mib, 64 * mib, 8 * mib, 16, 256, 64 } };
     struct fault f = { .code = FAULT_NONE };
     (void)argc, (void)argv;
     block_pool_init(&host.blocks, 0);
