@@ -204,6 +204,7 @@ static int ask(struct top *t, struct airy_error *e)
         t->airy = NULL;
         return -1;
     }
+    airy_set_reconnect(t->airy, 0); // who looks at it is told
     airy_wall_reply_free(t->walls);
     t->walls = NULL;
     if (airy_status(t->airy, &t->now, TIMEOUT_MS, e) < 0)
@@ -316,6 +317,7 @@ enum cmd_exit cmd_top(int argc, char **argv)
         cmd_complain("top: %s", e.text);
         return cmd_exit_of(&e);
     }
+    airy_set_reconnect(t.airy, 0);
     struct screen s;
     t.screen = !t.once && !t.json && screen_there() && screen_open(&s) == 0;
     const int rc = watch(&t, &s, &e);
