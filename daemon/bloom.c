@@ -465,7 +465,7 @@ int bloom_create(struct bloom **out, const struct bloom_options *options, struct
     struct bloom *b = calloc(1, sizeof(*b));
     if (!b)
         return fault_set(f, FAULT_NO_MEMORY, "", "out of memory");
-    b->slots = options->slots < 1 ? 1 : options->slots > 8 ? 8 : options->slots;
+    b->slots = options->slots < 1 ? 1 : options->slots > BLOOM_SLOTS_MAX ? BLOOM_SLOTS_MAX : options->slots;
     b->threads = options->threads ? options->threads : 2;
     if (open_device(b, options, f) < 0 || bloom_self_test(b, options->warm_all, f) < 0 || cost_measure(b, f) < 0) {
         bloom_destroy(b);

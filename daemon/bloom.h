@@ -18,9 +18,11 @@
 struct bloom;
 struct bloom_slot;
 
+enum { BLOOM_SLOTS_MAX = 9 };
+
 struct bloom_options {
     const char *device;  /* NULL or "": best; "cpu", "gpu", an index, or part of a name */
-    unsigned slots;      /* frames that can be in the pipeline at once, 1..8 */
+    unsigned slots;      /* frames that can be in the pipeline at once, 1..BLOOM_SLOTS_MAX */
     unsigned threads;    /* for what the host does of a frame's bloom (FFT); 0: 2 */
     bool validate;       /* Vulkan validation with synchronisation validation; any message is counted */
     bool warm_all;       /* draw with every pipeline at start, not only with those of common requests: some

@@ -247,7 +247,7 @@ struct bloom {
     const struct plan *prepared;      /* the one that targets and ledger are made for; NULL: none */
     uint32_t prepared_pad;            /* of the ledger */
     unsigned slots;
-    struct bloom_slot slot[8];
+    struct bloom_slot slot[BLOOM_SLOTS_MAX];
     struct bloom_slot warm_slot; /* for first draws: the others' planes are in use */
     unsigned warmed;             /* steps of bloom_warm_next that are done */
 };

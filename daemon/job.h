@@ -136,6 +136,7 @@ struct job {
     double units, charged_ms;      /* how large it is said to be, and what its turn was reckoned at */
     uint64_t deadline_ns;
     bool parked;                   /* opened, and waits for room */
+    bool passes;                   /* goes before others that are at work */
     bool keeping;                  /* the one that keeps an image now */
     const struct job_env *env;
     TAILQ_ENTRY(job) link;

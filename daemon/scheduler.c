@@ -26,6 +26,21 @@ static void link_job(struct job_queue *q, struct job *j)
     j->linked = true;
 }
 
+// Those that pass others come first, in their order.
+static void link_stage(struct job_queue *q, struct job *j)
+{
+    struct job *before = j->passes ? TAILQ_FIRST(q) : NULL;
+    while (before && before->passes)
+        before = TAILQ_NEXT(before, link);
+    if (!before) {
+        link_job(q, j);
+        return;
+    }
+    assert(!j->linked);
+    TAILQ_INSERT_BEFORE(before, j, link);
+    j->linked = true;
+}
+
 static void unlink_job(struct job_queue *q, struct job *j)
 {
     assert(j->linked);
@@ -46,13 +61,21 @@ static void wake_pool(struct sched_lane *l)
     pthread_cond_broadcast(&l->sched->pool_wake);
 }
 
+static void forget_admitted(struct sched_lane *l, const struct job *j)
+{
+    unsigned i = 0;
+    while (l->at_work[i] != j)
+        i++;
+    l->at_work[i] = l->at_work[--l->admitted];
+}
+
 // Ends the job's time between OPEN and ENCODE.
 static void slot_leave(struct sched_lane *l, struct job *j)
 {
     if (j->slot)
         j->slot->job = NULL;
     j->slot = NULL;
-    l->admitted--;
+    forget_admitted(l, j);
     sched_room_freed(l->sched);
     wake_pool(l);
 }
@@ -94,7 +117,7 @@ static void enter(struct sched *s, struct job *j, enum job_stage stage)
         return;
     }
     j->tasks = job_tasks(j);
-    link_job(&l->stage[stage], j);
+    link_stage(&l->stage[stage], j);
     if (job_stage_on_device(stage))
         pthread_cond_signal(&l->device_wake);
     else
@@ -164,7 +187,8 @@ static void send_back(struct sched_lane *l, struct job *j)
 {
     struct sched *s = l->sched;
     j->stage = JOB_WAITING;
-    l->admitted--;
+    j->passes = false;
+    forget_admitted(l, j);
     l->running--;
     l->n_waiting++;
     s->deadlines += j->deadline_ns != 0;
@@ -250,7 +274,7 @@ static void admit(struct sched_lane *l, struct job *j)
     l->sched->deadlines -= j->deadline_ns != 0;
     room_turn(l->sched, j);
     l->running++;
-    l->admitted++;
+    l->at_work[l->admitted++] = j;
     j->admitted_ns = clock_ns();
     j->ms.queue = (double)(j->admitted_ns - j->accepted_ns) / 1e6;
     if (l->dead)
@@ -271,32 +295,55 @@ static struct job *wall_pop(struct sched_lane *l)
     return j;
 }
 
+static bool may_pass(struct sched *s, const struct job *j) { return room_may_turn(s, j) && fair_passes(s, j); }
+
 // While one waits for room nobody else gets a turn, or large frames would wait for ever.
-static struct job *frame_pop(struct sched *s)
+static struct job *frame_pop(struct sched_lane *l, bool (*may)(struct sched *s, const struct job *j))
 {
-    if (!TAILQ_EMPTY(&s->lane[LANE_FRAMES].parked))
+    struct sched *s = l->sched;
+    if (!TAILQ_EMPTY(&l->parked))
         return NULL;
-    struct job *j = fair_first(s, room_may_turn);
-    if (j)
-        fair_take(s, j);
+    struct job *j = fair_first(s, may);
+    if (!j)
+        return NULL;
+    j->passes = fair_passes(s, j);
+    fair_take(s, j);
     return j;
+}
+
+static struct job *claim_started(struct sched_lane *l, bool passing, unsigned *task)
+{
+    static const enum job_stage latest_first[] = { JOB_ENCODE, JOB_BEGIN, JOB_DECODE, JOB_OPEN };
+    for (size_t i = 0; i < sizeof latest_first / sizeof latest_first[0]; i++) {
+        const struct job *j = TAILQ_FIRST(&l->stage[latest_first[i]]);
+        if (j && (j->passes || !passing))
+            return claim_from(l, latest_first[i], task);
+    }
+    return NULL;
+}
+
+static struct job *claim_admitted(struct sched_lane *l, struct job *j, unsigned *task)
+{
+    admit(l, j);
+    j = claim_from(l, JOB_FINISH, task);
+    return j ? j : claim_from(l, JOB_OPEN, task);
 }
 
 static struct job *claim_in(struct sched_lane *l, unsigned *task)
 {
-    static const enum job_stage latest_first[] = { JOB_ENCODE, JOB_BEGIN, JOB_DECODE, JOB_OPEN };
     struct job *j = claim_from(l, JOB_FINISH, task);
     if (j || l->hold)
         return j;
-    for (size_t i = 0; i < sizeof latest_first / sizeof latest_first[0]; i++)
-        if ((j = claim_from(l, latest_first[i], task)))
-            return j;
-    if (l->admitted >= l->slots || !l->n_waiting ||
-        !(j = l->name == LANE_WALLS ? wall_pop(l) : frame_pop(l->sched)))
+    if ((j = claim_started(l, true, task)))
+        return j;
+    // Who may pass what is at work need not wait until nothing is left to do for that.
+    if (l->name == LANE_FRAMES && l->admitted < l->slots && l->n_waiting && (j = frame_pop(l, may_pass)))
+        return claim_admitted(l, j, task);
+    if ((j = claim_started(l, false, task)))
+        return j;
+    if (l->admitted >= l->regular || !l->n_waiting || !(j = l->name == LANE_WALLS ? wall_pop(l) : frame_pop(l, room_may_turn)))
         return NULL;
-    admit(l, j);
-    j = claim_from(l, JOB_FINISH, task);
-    return j ? j : claim_from(l, JOB_OPEN, task);
+    return claim_admitted(l, j, task);
 }
 
 struct job *sched_claim(struct sched *s, bool walls_only, unsigned *task)
@@ -550,7 +597,8 @@ static void lane_init(struct sched *s, enum sched_lane_name name, unsigned slots
     struct sched_lane *l = &s->lane[name];
     l->sched = s;
     l->name = name;
-    l->slots = name == LANE_WALLS ? WALL_SLOTS : slots;
+    l->regular = name == LANE_WALLS ? WALL_SLOTS : slots;
+    l->slots = name == LANE_WALLS ? WALL_SLOTS : slots + 1;
     pthread_cond_init(&l->device_wake, NULL);
     pthread_cond_init(&l->quiet, NULL);
     TAILQ_INIT(&l->waiting);

@@ -4,7 +4,8 @@
  *
  * Users get equal shares of the device's time, and a user's connections equal shares of the user's (scheduler_fair.c); within a user jobs of
  * higher priority go first, else first in, first out in a connection. A job has its turn when its user does and there is room for it in
- * memory (scheduler_room.c). `slots` bounds how many jobs are between OPEN and the end of ENCODE. The pool takes the latest stage first, so that
+ * memory (scheduler_room.c). `slots` bounds how many jobs are between OPEN and the end of ENCODE; one more may be that is small beside those that
+ * are, of somebody who has been served less, and it goes before them in every stage. The pool takes the latest stage first, so that
  * the pipeline drains: frame n-1 is encoded, then n+1 decoded, while n is on the device.
  *
  * (Named so, not sched.h: with this folder on the include path it would hide the system's.)

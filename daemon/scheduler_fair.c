@@ -14,7 +14,7 @@
 
 #include <math.h>
 
-enum { EXR_BYTES_PER_SAMPLE = 2 };
+enum { EXR_BYTES_PER_SAMPLE = 2, PASS_FACTOR = 8 };
 static const double FIRST_MS_PER_UNIT = 1e-5, LEARNT_SHARE = 0.3;
 
 void fair_init(struct sched *s)
@@ -99,6 +99,34 @@ struct job *fair_first(struct sched *s, bool (*may)(struct sched *s, const struc
     return best;
 }
 
+static bool passes_one(const struct job *j, double ms, const struct job *other)
+{
+    if (PASS_FACTOR * ms > other->charged_ms)
+        return false;
+    if (j->user != other->user)
+        return j->user->served_ms <= other->user->served_ms;
+    return !other->flow || (j->flow != other->flow && j->flow->served_ms <= other->flow->served_ms);
+}
+
+/*
+ * All that is at work but what passes itself. That somebody has been served less bounds it: many small jobs one after the other pass a large
+ * one until they have had as much.
+ */
+bool fair_passes(struct sched *s, const struct job *j)
+{
+    const struct sched_lane *l = &s->lane[LANE_FRAMES];
+    const double ms = j->units * price(s, j->flow);
+    bool any = false;
+    for (unsigned i = 0; i < l->admitted; i++) {
+        if (l->at_work[i]->passes)
+            continue;
+        if (!passes_one(j, ms, l->at_work[i]))
+            return false;
+        any = true;
+    }
+    return any;
+}
+
 static void charge(struct job *j, double ms)
 {
     j->user->served_ms += ms - j->charged_ms;
@@ -113,7 +141,9 @@ void fair_take(struct sched *s, struct job *j)
     struct sched_user *u = j->user;
     struct sched_flow *flow = j->flow;
     fair_remove(j);
-    s->virtual_ms = fmax(s->virtual_ms, u->served_ms);
+    // Who passes may be one who has been served much, by his own large one: newcomers do not begin there.
+    if (!j->passes)
+        s->virtual_ms = fmax(s->virtual_ms, u->served_ms);
     u->virtual_ms = fmax(u->virtual_ms, flow->served_ms);
     u->running++;
     flow->running++;
@@ -131,6 +161,8 @@ void fair_return(struct job *j)
     struct sched_flow *flow = j->flow;
     struct job *after = TAILQ_FIRST(&flow->waiting);
     charge(j, 0);
+    if (!after)
+        TAILQ_INSERT_TAIL(&j->user->flows, flow, of_user);
     j->user->running--;
     flow->running--;
     j->user->queued++;

@@ -53,14 +53,15 @@ struct sched_lane {
     TAILQ_HEAD(, job) order;            /* of walls: admitted, and not yet past BLOOM */
     unsigned n_waiting, running;        /* running: admitted and not yet done */
     unsigned admitted;                  /* between OPEN and the end of ENCODE: at most `slots` */
+    struct job *at_work[SCHED_SLOTS_MAX + 1]; /* those */
     unsigned claimed;                   /* tasks that threads of the pool are at, of admitted jobs */
     struct job_queue parked;            /* of frames: admitted and opened, without room */
     uint64_t keep[BLOOM_KEEPS];         /* bytes of what the engine keeps beside planes */
     bool drop_keep;
     bool hold;                          /* nothing but FINISH is claimed */
     bool dead;                          /* its device is lost, and could not be had again */
-    unsigned slots;
-    struct sched_slot slot[SCHED_SLOTS_MAX];
+    unsigned slots, regular;            /* those above `regular` are for jobs that pass others */
+    struct sched_slot slot[SCHED_SLOTS_MAX + 1];
     struct bloom *bloom;                /* the device thread's, once it runs */
     struct pulse pulse;                 /* the device thread's */
     bool warming;                       /* pipelines are left that have not drawn */
@@ -110,6 +111,8 @@ void fair_push(struct sched *s, struct sched_flow *flow, struct job *j);
 void fair_remove(struct job *j); /* without a turn */
 /* Whose turn it is, of the users whose first job `may`; NULL: nobody's. */
 struct job *fair_first(struct sched *s, bool (*may)(struct sched *s, const struct job *j));
+/* A small job of somebody who has been served less passes large ones that are at work: it need not wait for them to end. */
+bool fair_passes(struct sched *s, const struct job *j);
 void fair_take(struct sched *s, struct job *j);
 void fair_return(struct job *j); /* taken, and back in its place as if it never were */
 void fair_leave_flow(struct job *j); /* its connection is forgotten */
