@@ -52,7 +52,7 @@ struct sched_flow { /* one connection's line; embedded in its owner */
     struct job_queue waiting; /* highest priority first */
     unsigned running;
     unsigned fds; /* of results that are not yet sent */
-    double served_ms, ms_per_unit;
+    double served_ms, pending_ms, ms_per_unit;
 };
 
 /* Jobs of walls (job->wall) need it, once, before the first: opens their own device in a thread of its own, so that nobody waits; jobs

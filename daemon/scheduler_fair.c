@@ -8,7 +8,7 @@
  * price on this device. When the job ends, what it really took takes the estimate's place. So a user's share does not depend on how good the
  * estimate is, only how evenly it is dealt out over some frames.
  *
- * Invariant: served_ms of user and flow is the sum of charged_ms of their jobs. All under the lock.
+ * Invariant: served_ms of user and flow is the sum of charged_ms of their jobs, pending_ms of those at work. All under the lock.
  */
 #include "scheduler_private.h"
 
@@ -135,19 +135,27 @@ static void charge(struct job *j, double ms)
     j->charged_ms = ms;
 }
 
+// Its estimate is among those of what is at work, or no more.
+static void pend(struct job *j, int sign)
+{
+    j->user->pending_ms += sign * j->charged_ms;
+    if (j->flow)
+        j->flow->pending_ms += sign * j->charged_ms;
+}
+
 // Of those served alike the one who waits longest is next.
 void fair_take(struct sched *s, struct job *j)
 {
     struct sched_user *u = j->user;
     struct sched_flow *flow = j->flow;
     fair_remove(j);
-    // Who passes may be one who has been served much, by his own large one: newcomers do not begin there.
-    if (!j->passes)
-        s->virtual_ms = fmax(s->virtual_ms, u->served_ms);
-    u->virtual_ms = fmax(u->virtual_ms, flow->served_ms);
+    // Estimates of what is at work do not count here: one that is much too high, taken back later, would let newcomers begin far behind.
+    s->virtual_ms = fmax(s->virtual_ms, u->served_ms - u->pending_ms);
+    u->virtual_ms = fmax(u->virtual_ms, flow->served_ms - flow->pending_ms);
     u->running++;
     flow->running++;
     charge(j, j->units * price(s, flow));
+    pend(j, 1);
     if (!TAILQ_EMPTY(&flow->waiting)) {
         TAILQ_REMOVE(&u->flows, flow, of_user);
         TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
@@ -160,6 +168,7 @@ void fair_return(struct job *j)
 {
     struct sched_flow *flow = j->flow;
     struct job *after = TAILQ_FIRST(&flow->waiting);
+    pend(j, -1);
     charge(j, 0);
     if (!after)
         TAILQ_INSERT_TAIL(&j->user->flows, flow, of_user);
@@ -195,6 +204,7 @@ void fair_settle(struct sched *s, struct job *j)
     j->user->running--;
     if (j->flow)
         j->flow->running--;
+    pend(j, -1);
     charge(j, ms);
     if (j->kind != JOB_BLOOMS || !j->finished)
         return;

@@ -17,7 +17,7 @@ struct sched_user {
     unsigned queued, running;           /* jobs of frames; running: had a turn, not yet done */
     uint64_t inline_bytes, work;
     double device_ms;                   /* used so far, walls' included */
-    double served_ms, virtual_ms;       /* virtual_ms: what the flow served last had then */
+    double served_ms, pending_ms, virtual_ms; /* virtual_ms: what the flow served last had then */
     uint64_t idle_ns;
     TAILQ_ENTRY(sched_user) link;
     TAILQ_HEAD(, sched_flow) flows; /* that have a job waiting; served longest ago first */
