@@ -248,7 +248,7 @@ static void test_unread_results(void **state)
         peer_bloom(&p, id, &small.bloom, NULL, 0);
         peer_data(&p, id, bytes, small.input.size);
     }
-    for (int i = 0; i < 6000 && me(peer_status(&watcher))->requests > 1; i++)
+    for (int i = 0; i < 6000 && peer_status(&watcher)->done < done + 1 + RESULTS; i++)
         usleep(10000);
     assert_int_equal(me(peer_status(&watcher))->requests, 1); // of the others only the results are left
     wait_for_fds(&watcher, 2 + RESULTS);
