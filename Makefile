@@ -66,7 +66,7 @@ say = $(if $(V),,@echo "  $(1)")
 
 help:
 	@echo "make demo     build, start the daemon, bloom an HDR frame through the socket -> build/demo/"
-	@echo "make check    build and pass the tests (installs what is missing, 15 to 25 minutes)"
+	@echo "make check    build and pass the tests (installs what is missing, 20 to 30 minutes)"
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make bench-wall  a wall's picture, pass by pass;  make bench-usb  ten emulated controllers, SECONDS=60 each"
