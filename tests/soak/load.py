@@ -16,7 +16,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Optional
 
 from cases import Case, file_digest
 from host import Daemon, Sample, until
@@ -79,6 +79,8 @@ class Lane:
         self.plan, self.daemon, self.spec, self.number = plan, daemon, spec, number
         self.rng = random.Random(f"{seed} lane {number}")
         self.folder = plan.work / f"lane{number}"
+        # However slow the machine is, one of each kind runs.
+        self.first: Optional[str] = ["command", "node" if plan.node else "hostile", "hostile", "python"][number]
 
     def run(self, end: float) -> None:
         try:
@@ -91,7 +93,8 @@ class Lane:
 
     def one(self, seconds: float) -> None:
         kinds = {"python": 30, "command": 25, "hostile": 30, "wall": 5, "node": 20 if self.plan.node else 0}
-        kind = self.rng.choices(list(kinds), list(kinds.values()))[0]
+        kind = self.first or self.rng.choices(list(kinds), list(kinds.values()))[0]
+        self.first = None
         seed = self.rng.randrange(1, 2**31)
         if kind == "command":
             self.command(seed)
