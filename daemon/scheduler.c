@@ -298,15 +298,15 @@ static struct job *wall_pop(struct sched_lane *l)
 static bool may_pass(struct sched *s, const struct job *j) { return room_may_turn(s, j) && fair_passes(s, j); }
 
 // While one waits for room nobody else gets a turn, or large frames would wait for ever.
-static struct job *frame_pop(struct sched_lane *l, bool (*may)(struct sched *s, const struct job *j))
+static struct job *frame_pop(struct sched_lane *l, bool passing)
 {
     struct sched *s = l->sched;
     if (!TAILQ_EMPTY(&l->parked))
         return NULL;
-    struct job *j = fair_first(s, may);
+    struct job *j = fair_first(s, passing ? may_pass : room_may_turn);
     if (!j)
         return NULL;
-    j->passes = fair_passes(s, j);
+    j->passes = passing;
     fair_take(s, j);
     return j;
 }
@@ -337,11 +337,11 @@ static struct job *claim_in(struct sched_lane *l, unsigned *task)
     if ((j = claim_started(l, true, task)))
         return j;
     // Who may pass what is at work need not wait until nothing is left to do for that.
-    if (l->name == LANE_FRAMES && l->admitted < l->slots && l->n_waiting && (j = frame_pop(l, may_pass)))
+    if (l->name == LANE_FRAMES && l->admitted < l->slots && l->n_waiting && (j = frame_pop(l, true)))
         return claim_admitted(l, j, task);
     if ((j = claim_started(l, false, task)))
         return j;
-    if (l->admitted >= l->regular || !l->n_waiting || !(j = l->name == LANE_WALLS ? wall_pop(l) : frame_pop(l, room_may_turn)))
+    if (l->admitted >= l->regular || !l->n_waiting || !(j = l->name == LANE_WALLS ? wall_pop(l) : frame_pop(l, false)))
         return NULL;
     return claim_admitted(l, j, task);
 }
@@ -623,7 +623,6 @@ int sched_create(struct sched **out, const struct sched_config *config, struct f
         lane_init(s, (enum sched_lane_name)i, config->slots);
     s->device = config->device;
     s->warm_idle = config->warm_idle;
-    s->device.slots = config->slots;
     s->log = config->log;
     s->event_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
     if (s->event_fd < 0) {

@@ -39,7 +39,7 @@ struct sched_limits { /* none is 0 */
 struct sched_config {
     unsigned threads, slots;
     struct sched_limits limits;
-    struct bloom_options device; /* `slots` of it is filled in here */
+    struct bloom_options device; /* `slots` of it is not looked at */
     bool warm_idle; /* pipelines that have not drawn at the start draw whenever the device has nothing to do */
     void (*log)(const char *line);
 };

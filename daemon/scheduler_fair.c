@@ -36,27 +36,31 @@ static double price(const struct sched *s, const struct sched_flow *flow)
     return flow->ms_per_unit > 0 ? flow->ms_per_unit : s->ms_per_unit;
 }
 
-// Of one priority first in, first out.
-void fair_push(struct sched *s, struct sched_flow *flow, struct job *j)
+// A flow is on its user's list as long as one of its jobs waits. Of one priority first in, first out; `first`: before the others of it.
+static void line_up(struct sched_flow *flow, struct job *j, bool first)
 {
-    struct sched_user *u = flow->user;
-    if (!u->queued && !u->running)
-        u->served_ms = fmax(u->served_ms, s->virtual_ms);
-    if (TAILQ_EMPTY(&flow->waiting)) {
-        if (!flow->running)
-            flow->served_ms = fmax(flow->served_ms, u->virtual_ms);
-        TAILQ_INSERT_TAIL(&u->flows, flow, of_user);
-    }
-    j->units = units_of(j);
-    u->queued++;
     struct job *before = TAILQ_LAST(&flow->waiting, job_queue);
-    while (before && before->priority < j->priority)
+    if (!before)
+        TAILQ_INSERT_TAIL(&flow->user->flows, flow, of_user);
+    while (before && (before->priority < j->priority || (first && before->priority == j->priority)))
         before = TAILQ_PREV(before, job_queue, link);
     if (before)
         TAILQ_INSERT_AFTER(&flow->waiting, before, j, link);
     else
         TAILQ_INSERT_HEAD(&flow->waiting, j, link);
     j->linked = true;
+    flow->user->queued++;
+}
+
+void fair_push(struct sched *s, struct sched_flow *flow, struct job *j)
+{
+    struct sched_user *u = flow->user;
+    if (!u->queued && !u->running)
+        u->served_ms = fmax(u->served_ms, s->virtual_ms);
+    if (TAILQ_EMPTY(&flow->waiting) && !flow->running)
+        flow->served_ms = fmax(flow->served_ms, u->virtual_ms);
+    j->units = units_of(j);
+    line_up(flow, j, false);
 }
 
 void fair_remove(struct job *j)
@@ -166,22 +170,11 @@ void fair_take(struct sched *s, struct job *j)
 
 void fair_return(struct job *j)
 {
-    struct sched_flow *flow = j->flow;
-    struct job *after = TAILQ_FIRST(&flow->waiting);
     pend(j, -1);
     charge(j, 0);
-    if (!after)
-        TAILQ_INSERT_TAIL(&j->user->flows, flow, of_user);
     j->user->running--;
-    flow->running--;
-    j->user->queued++;
-    while (after && after->priority > j->priority)
-        after = TAILQ_NEXT(after, link);
-    if (after)
-        TAILQ_INSERT_BEFORE(after, j, link);
-    else
-        TAILQ_INSERT_TAIL(&flow->waiting, j, link);
-    j->linked = true;
+    j->flow->running--;
+    line_up(j->flow, j, true);
 }
 
 void fair_leave_flow(struct job *j)
