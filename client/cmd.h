@@ -27,6 +27,8 @@ enum cmd_exit cmd_help(int argc, char **argv);
 
 /* "airy: ..." and a newline on stderr. */
 void cmd_complain(const char *format, ...) __attribute__((format(printf, 1, 2)));
+/* A connection whose loss the command itself sees to; *out is NULL on failure. 0, or -1 and *e. */
+int cmd_connect(struct airy **out, const char *socket, struct airy_error *e);
 /* What an error of the daemon or the library means to a shell. */
 enum cmd_exit cmd_exit_of(const struct airy_error *e);
 

@@ -18,6 +18,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "cmd.h"
 #include "cmd_cleanup.h"
 
 enum { START_SECONDS = 30, STOP_SECONDS = 10 };
@@ -188,11 +189,8 @@ static int daemon_connect(struct session *s, struct airy_error *e)
 {
     double end_s = now_s() + START_SECONDS;
     for (;;) {
-        if (airy_connect(&s->airy, s->socket, e) == 0) {
-            airy_set_reconnect(s->airy, 0);
+        if (cmd_connect(&s->airy, s->socket, e) == 0)
             return 0;
-        }
-        s->airy = NULL;
         if (e->code > 0)
             return -1; /* it answered, and does not want us */
         if (daemon_gone(s, e))
@@ -212,11 +210,8 @@ int session_open(struct session *s, const struct session_options *o, struct airy
 {
     *s = (struct session)SESSION_NONE;
     if (o->socket || !o->device) {
-        if (airy_connect(&s->airy, o->socket, e) == 0) {
-            airy_set_reconnect(s->airy, 0);
+        if (cmd_connect(&s->airy, o->socket, e) == 0)
             return 0;
-        }
-        s->airy = NULL;
         if (o->socket || e->code > 0)
             return -1;
     }

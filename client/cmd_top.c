@@ -200,11 +200,8 @@ static int ask(struct top *t, struct airy_error *e)
 {
     const struct airy_wall_request list = { .action = AIRY_WALL_LIST };
     struct airy_error no_walls;
-    if (!t->airy && airy_connect(&t->airy, t->socket, e) < 0) {
-        t->airy = NULL;
+    if (!t->airy && cmd_connect(&t->airy, t->socket, e) < 0)
         return -1;
-    }
-    airy_set_reconnect(t->airy, 0); // who looks at it is told
     airy_wall_reply_free(t->walls);
     t->walls = NULL;
     if (airy_status(t->airy, &t->now, TIMEOUT_MS, e) < 0)
@@ -313,11 +310,10 @@ enum cmd_exit cmd_top(int argc, char **argv)
         return go < 0 ? CMD_USAGE : CMD_DONE;
     stop_install();
     // The first answer comes before the screen: without one nothing has been drawn over.
-    if (airy_connect(&t.airy, t.socket, &e) < 0) {
+    if (cmd_connect(&t.airy, t.socket, &e) < 0) {
         cmd_complain("top: %s", e.text);
         return cmd_exit_of(&e);
     }
-    airy_set_reconnect(t.airy, 0);
     struct screen s;
     t.screen = !t.once && !t.json && screen_there() && screen_open(&s) == 0;
     const int rc = watch(&t, &s, &e);

@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "cmd.h"
 #include "cmd_run.h"
 #include "cmd_wall.h"
 
@@ -130,12 +131,7 @@ int wall_open_file(struct airy *a, const struct wall_file *f, const char *path, 
 int wall_daemon(struct session *s, const struct session_options *o, struct airy_error *e)
 {
     *s = (struct session)SESSION_NONE;
-    if (airy_connect(&s->airy, o->socket, e) == 0) {
-        airy_set_reconnect(s->airy, 0); /* the wall goes with it: wall_use_again */
-        return 0;
-    }
-    s->airy = NULL;
-    return -1;
+    return cmd_connect(&s->airy, o->socket, e); /* the wall goes with it: wall_use_again */
 }
 
 /* What the daemon says of the wall by this name. 0, or -1 and *e. */

@@ -19,6 +19,15 @@ void cmd_complain(const char *format, ...)
     va_end(args);
 }
 
+int cmd_connect(struct airy **out, const char *socket, struct airy_error *e)
+{
+    *out = NULL;
+    if (airy_connect(out, socket, e) < 0)
+        return -1;
+    airy_set_reconnect(*out, 0);
+    return 0;
+}
+
 /* PROTOCOL.md's codes by hundreds: 2xx the request (20x its parameters), 3xx the file, 4xx and 5xx the
  * daemon's state. Negative: errno of this side. */
 enum cmd_exit cmd_exit_of(const struct airy_error *e)
