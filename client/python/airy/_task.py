@@ -18,9 +18,34 @@ def _nothing(_: Any) -> None:
     pass
 
 
-class Request:
-    """From submit to its one end; `on_end` is then called, from within whatever drives the engine."""
+class _Task:
+    """`on_end` is called once, from within whatever drives the engine."""
 
+    def __init__(self, kind: Type, body: Any, idempotent: bool) -> None:
+        self.kind = kind
+        self.body = body
+        self.idempotent = idempotent
+        self.id = 0
+        self.tries = 0  # after BUSY
+        self.resent = 0  # after the connection went
+        self.not_before = 0.0
+        self.received = bytearray()
+        self.ended = False
+        self.value: Any = None
+        self.error: Optional[BaseException] = None
+        self.on_end: Callable[[Any], None] = _nothing
+
+    def end(self, error: Optional[BaseException], value: Any = None) -> None:
+        self.ended = True
+        if self.error is None:
+            self.error = error
+        self.value = value
+        # No cycle may keep a mapped frame alive until somebody collects garbage.
+        on_end, self.on_end = self.on_end, _nothing
+        on_end(self)
+
+
+class Request(_Task):
     def __init__(
         self,
         kind: Type,
@@ -30,25 +55,14 @@ class Request:
         progress: Optional[ProgressCallback] = None,
         idempotent: bool = True,
     ) -> None:
-        self.kind = kind
-        self.body = body
+        super().__init__(kind, body, idempotent)
         self.prepared = prepared
         self.plan_only = plan_only
         self.progress = progress
-        self.idempotent = idempotent
-        self.id = 0
-        self.tries = 0  # after BUSY
-        self.resent = 0  # after the connection went
-        self.not_before = 0.0
         self.fraction = 0.0
         self.sent = False  # at least once
         self.cancelled = False
-        self.received = bytearray()
-        self.ended = False
-        self.value: Any = None
-        self.error: Optional[BaseException] = None
         self.on_sent: Callable[[Request], None] = _nothing
-        self.on_end: Callable[[Request], None] = _nothing
 
     @property
     def size(self) -> int:
@@ -56,17 +70,11 @@ class Request:
 
     def end(self, error: Optional[BaseException], value: Any = None) -> None:
         self.prepared.close()
-        self.ended = True
-        if self.error is None:
-            self.error = error
-        self.value = value
-        on_end = self.on_end
-        # No cycle may keep a mapped frame alive until somebody collects garbage.
-        self.on_sent = self.on_end = _nothing
-        on_end(self)
+        self.on_sent = _nothing
+        super().end(error, value)
 
 
-class Question:
+class Question(_Task):
     """`make` turns the answer's message, and the bytes of DATA before it, into what `value` is."""
 
     def __init__(
@@ -78,25 +86,7 @@ class Question:
         idempotent: bool = True,
         data_max: int = 0,
     ) -> None:
-        self.kind = kind
-        self.body = body
+        super().__init__(kind, body, idempotent)
         self.answer = answer
         self.make = make
-        self.idempotent = idempotent
         self.data_max = data_max
-        self.id = 0
-        self.tries = 0
-        self.resent = 0
-        self.not_before = 0.0
-        self.received = bytearray()
-        self.ended = False
-        self.value: Any = None
-        self.error: Optional[BaseException] = None
-        self.on_end: Callable[[Question], None] = _nothing
-
-    def end(self, error: Optional[BaseException], value: Any = None) -> None:
-        self.ended = True
-        self.error = error
-        self.value = value
-        on_end, self.on_end = self.on_end, _nothing
-        on_end(self)
