@@ -14,6 +14,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/socket.h>
 #include <unistd.h>
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
@@ -71,6 +72,25 @@ static inline char *fuzz_text(const struct fuzz_in *in)
         memcpy(text, in->at, in->left);
     text[in->left] = '\0';
     return text;
+}
+
+/* Bytes, with descriptors (at most 4) beside the first, without waiting: as sendmsg. */
+static inline ssize_t fuzz_send(int to, const uint8_t *bytes, size_t n, const int *fds, unsigned n_fds)
+{
+    union {
+        struct cmsghdr align;
+        uint8_t bytes[CMSG_SPACE(4 * sizeof(int))];
+    } control = { .bytes = { 0 } };
+    struct iovec iov = { (void *)(uintptr_t)bytes, n };
+    struct msghdr h = { .msg_iov = &iov, .msg_iovlen = 1 };
+    if (n_fds) {
+        h.msg_control = &control;
+        h.msg_controllen = CMSG_SPACE(n_fds * sizeof(int));
+        struct cmsghdr *c = CMSG_FIRSTHDR(&h);
+        *c = (struct cmsghdr){ .cmsg_len = CMSG_LEN(n_fds * sizeof(int)), .cmsg_level = SOL_SOCKET, .cmsg_type = SCM_RIGHTS };
+        memcpy(CMSG_DATA(c), fds, n_fds * sizeof(int));
+    }
+    return sendmsg(to, &h, MSG_DONTWAIT | MSG_NOSIGNAL);
 }
 
 /* The number that the next descriptor gets: equal before and after, none was left open. */

@@ -211,21 +211,8 @@ static int make_fd(const struct rig *r, unsigned which)
 
 static void give(struct rig *r, const uint8_t *bytes, size_t n, const int *fds, unsigned n_fds)
 {
-    union {
-        struct cmsghdr align;
-        uint8_t bytes[CMSG_SPACE(4 * sizeof(int))];
-    } control = { .bytes = { 0 } };
     for (unsigned tries = 0; n && tries < 100;) {
-        struct iovec iov = { (void *)(uintptr_t)bytes, n };
-        struct msghdr h = { .msg_iov = &iov, .msg_iovlen = 1 };
-        if (n_fds) {
-            h.msg_control = &control;
-            h.msg_controllen = CMSG_SPACE(n_fds * sizeof(int));
-            struct cmsghdr *c = CMSG_FIRSTHDR(&h);
-            *c = (struct cmsghdr){ .cmsg_len = CMSG_LEN(n_fds * sizeof(int)), .cmsg_level = SOL_SOCKET, .cmsg_type = SCM_RIGHTS };
-            memcpy(CMSG_DATA(c), fds, n_fds * sizeof(int));
-        }
-        const ssize_t sent = sendmsg(conn_fd(r->peer), &h, MSG_DONTWAIT | MSG_NOSIGNAL);
+        const ssize_t sent = fuzz_send(conn_fd(r->peer), bytes, n, fds, n_fds);
         if (sent < 0) {
             must(errno == EAGAIN || errno == EPIPE || errno == ECONNRESET);
             if (errno != EAGAIN)

@@ -130,22 +130,9 @@ static void take_all(struct rig *r)
 
 static void give(struct rig *r, const uint8_t *bytes, size_t n, unsigned n_fds)
 {
-    union {
-        struct cmsghdr align;
-        uint8_t bytes[CMSG_SPACE(4 * sizeof(int))];
-    } control = { .bytes = { 0 } };
     const int fds[4] = { STDERR_FILENO, STDERR_FILENO, STDERR_FILENO, STDERR_FILENO };
     while (n && !r->broken) {
-        struct iovec iov = { (void *)(uintptr_t)bytes, n };
-        struct msghdr h = { .msg_iov = &iov, .msg_iovlen = 1 };
-        if (n_fds) {
-            h.msg_control = &control;
-            h.msg_controllen = CMSG_SPACE(n_fds * sizeof(int));
-            struct cmsghdr *c = CMSG_FIRSTHDR(&h);
-            *c = (struct cmsghdr){ .cmsg_len = CMSG_LEN(n_fds * sizeof(int)), .cmsg_level = SOL_SOCKET, .cmsg_type = SCM_RIGHTS };
-            memcpy(CMSG_DATA(c), fds, n_fds * sizeof(int));
-        }
-        const ssize_t sent = sendmsg(r->peer, &h, MSG_DONTWAIT | MSG_NOSIGNAL);
+        const ssize_t sent = fuzz_send(r->peer, bytes, n, fds, n_fds);
         if (sent < 0) {
             must(errno == EAGAIN);
             take_all(r);
