@@ -7,11 +7,7 @@
 # (`make farm-test` installs them); skipped without.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-export AIRY AIRYD
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
+. tests/programs.sh
 SCRIPT=$(realpath client/farm/airy-slurm.sh)
 PATH=$PATH:/usr/sbin:/sbin
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-slurm-XXXXXX")

@@ -4,12 +4,7 @@
 # something fails, and its exit statuses. Prints TAP. AIRY and AIRYD name the programs, SCENE the picture maker.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-export AIRYD
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-unset AIRY_SOCKET
+. tests/programs.sh
 
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-test-XXXXXX")
 export TMPDIR=$work/tmp XDG_RUNTIME_DIR=$work/run # where private daemons' folders go: seen to be empty again

@@ -5,12 +5,7 @@
 # seed is printed; AIRY_SEED repeats it, ROUNDS= takes more). Prints TAP.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-export AIRYD
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-unset AIRY_SOCKET
+. tests/programs.sh
 
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-farm-XXXXXX")
 . tests/tap.sh

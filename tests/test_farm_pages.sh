@@ -5,11 +5,7 @@
 # cuebot's DispatchSupportService and FrameSet; Deadline's CommandLine plugin). The managers themselves do not run here. Prints TAP.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-export AIRYD
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
+. tests/programs.sh
 CUE=client/farm/opencue.md DEADLINE=client/farm/deadline.md
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-pages-XXXXXX")
 . tests/tap.sh

@@ -5,14 +5,9 @@
 # that holds @types/node. No network is needed.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY_ROOT=$PWD
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
+. tests/programs.sh
 NODE=${AIRY_NODE:-node}
-export AIRY_ROOT AIRY AIRYD SCENE
-unset AIRY_SOCKET
+export AIRY_ROOT=$PWD
 
 oldest=18.11
 skip_all() {

@@ -4,18 +4,11 @@
 # daemon that lies, the examples, and a wheel. Prints TAP. AIRY and AIRYD name the programs, SCENE the picture maker.
 set -u
 cd "$(dirname "$0")/.."
-export BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-export AIRY AIRYD SCENE PYTHONDONTWRITEBYTECODE=1
-unset AIRY_SOCKET XDG_RUNTIME_DIR
+. tests/programs.sh
+export PYTHONDONTWRITEBYTECODE=1
+unset XDG_RUNTIME_DIR
 
-# Debian's python3 has Debian's protobuf; another one first in PATH may not.
-python=
-for p in python3 /usr/bin/python3; do
-    "$p" -c 'import sys, google.protobuf; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && python=$p && break
-done
+python=$(find_python)
 if [ -z "$python" ]; then
     echo "ok 1 - the Python client # SKIP no Python 3.11 with protobuf: install python3-protobuf"
     echo "1..1"

@@ -3,12 +3,7 @@
 # test_top.sh - airy top beside a daemon that blooms: on terminals (top_terminal.py), and where there is none. Prints TAP.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-export AIRYD
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-unset AIRY_SOCKET
+. tests/programs.sh
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-top-XXXXXX")
 socket=$work/s
 . tests/tap.sh

@@ -4,11 +4,7 @@
 # list, play, preview, test, share, stats, close. Prints TAP. AIRY and AIRYD name the programs, SCENE the picture maker.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
-unset AIRY_SOCKET
+. tests/programs.sh
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-wall-XXXXXX")
 daemon=
 finish() {

@@ -4,19 +4,12 @@
 # AIRY and AIRYD name the programs, SCENE the picture maker, AIRY_NODE the node.
 set -u
 cd "$(dirname "$0")/../.."
-export BUILD=${BUILD:-build}
-export AIRY AIRYD SCENE WORK NODE NODE_PACKAGE PYTHONPATH PYTHONDONTWRITEBYTECODE=1
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
-SCENE=$(realpath "${SCENE:-$BUILD/demo/scene}")
+. tests/programs.sh
+export WORK NODE NODE_PACKAGE PYTHONPATH PYTHONDONTWRITEBYTECODE=1
 export MESA_SHADER_CACHE_DIR=${MESA_SHADER_CACHE_DIR:-$(realpath "$BUILD")/shader-cache}
-unset AIRY_SOCKET XDG_RUNTIME_DIR
+unset XDG_RUNTIME_DIR
 
-# Debian's python3 has Debian's protobuf; another one first in PATH may not.
-python=
-for p in python3 /usr/bin/python3; do
-    "$p" -c 'import sys, google.protobuf; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && python=$p && break
-done
+python=$(find_python)
 if [ -z "$python" ]; then
     echo "ok 1 - soak # SKIP no Python 3.11 with protobuf: install python3-protobuf"
     echo "1..1"
