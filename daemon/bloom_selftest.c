@@ -22,18 +22,17 @@ static double normal(double sigma)
     return n;
 }
 
-static double expected(const struct params *p, int x, int y, unsigned channel)
+/* What each point's light becomes at a pixel. */
+static void spread_at(const struct params *p, const double *norm, int x, int y, double spread[POINTS])
 {
-    double sum = 0;
     for (unsigned i = 0; i < POINTS; i++) {
-        const double e = points[i].value * (channel + 1) - p->threshold;
+        const double dx = x - points[i].x, dy = y - points[i].y;
+        spread[i] = 0;
         for (unsigned g = 0; g < p->psf_spec.count; g++) {
-            const double s = p->psf_spec.gaussian[g].sigma.value, n = normal(s);
-            const double dx = x - points[i].x, dy = y - points[i].y;
-            sum += p->psf_spec.gaussian[g].weight * e * exp(-(dx * dx + dy * dy) / (2 * s * s)) / (n * n);
+            const double s = p->psf_spec.gaussian[g].sigma.value;
+            spread[i] += p->psf_spec.gaussian[g].weight * exp(-(dx * dx + dy * dy) / (2 * s * s)) / (norm[g] * norm[g]);
         }
     }
-    return sum;
 }
 
 static void put(const struct planes *in, unsigned c, int x, int y, float v)
@@ -69,13 +68,18 @@ static int compare(const struct planes *out, const struct params *p, const struc
     for (unsigned i = 0; i < POINTS; i++)
         brightest = fmax(brightest, points[i].value * out->count);
     const double half = out->type == PIXEL_TYPE_HALF ? 0x1p-11 : 0x1p-23;
-    for (unsigned c = 0; c < out->count; c++)
-        for (int y = 0; y < SIZE; y++)
-            for (int x = 0; x < SIZE; x++) {
-                double want = expected(p, x, y, c);
-                for (unsigned i = 0; i < POINTS; i++)
-                    if (points[i].x == x && points[i].y == y)
-                        want += points[i].value * (c + 1);
+    double norm[PARAMS_GAUSSIANS_MAX], spread[POINTS];
+    for (unsigned g = 0; g < p->psf_spec.count; g++)
+        norm[g] = normal(p->psf_spec.gaussian[g].sigma.value);
+    for (int y = 0; y < SIZE; y++)
+        for (int x = 0; x < SIZE; x++) {
+            spread_at(p, norm, x, y, spread);
+            for (unsigned c = 0; c < out->count; c++) {
+                double want = 0;
+                for (unsigned i = 0; i < POINTS; i++) {
+                    const double light = points[i].value * (c + 1);
+                    want += (light - p->threshold) * spread[i] + (points[i].x == x && points[i].y == y ? light : 0);
+                }
                 const double got = get(out, c, x, y);
                 if (!(fabs(got - want) <= reply->error_bound * brightest + want * half + 0x1p-24))
                     return fault_set(f, FAULT_INTERNAL, "device",
@@ -83,6 +87,7 @@ static int compare(const struct planes *out, const struct params *p, const struc
                                      "this device does not compute what it is told",
                                      x, y, c, got, want, reply->error_bound * brightest);
             }
+        }
     return 0;
 }
 
