@@ -21,7 +21,7 @@
 #include "cmd.h"
 #include "cmd_cleanup.h"
 
-enum { START_SECONDS = 30, STOP_SECONDS = 10 };
+enum { START_SECONDS = 120, STOP_SECONDS = 10 };
 
 static int local_error(struct airy_error *e, int error, const char *what)
 {
