@@ -5,6 +5,8 @@
 
 BUILD ?= build
 SAN ?=
+# The shaders' words: the same for all variants.
+SPIRV_DIR ?= $(BUILD)/gen
 CC ?= gcc
 ifeq ($(origin CC),default)
 CC := gcc
@@ -24,12 +26,16 @@ PKGS_TEST := libcmocka-dev vulkan-validationlayers clang libclang-rt-14-dev umoc
 WARN := -Wall -Wextra -Werror -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Wvla -Wformat=2
 # Sanitized code is not fast anyway: build it quickly. gcc sees null pointers in what UBSan adds to sprintf.
 OPT := $(if $(SAN),-O1 -g1,-O2 -g)
-CPPFLAGS := -D_GNU_SOURCE -DAIRY_BUILD -Iproto -Idaemon -Idaemon/wall -Iclient -I$(BUILD)/gen
-SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-omit-frame-pointer $(if $(findstring clang,$(CC)),,-Wno-format-overflow))
+CPPFLAGS := -D_GNU_SOURCE -DAIRY_BUILD -Iproto -Idaemon -Idaemon/wall -Iclient -I$(BUILD)/gen -I$(SPIRV_DIR)
+SANFLAGS := $(if $(SAN),-fsanitize=$(SAN) -fno-sanitize-recover=undefined -fno-omit-frame-pointer $(if $(findstring clang,$(CC)),,-Wno-format-overflow))
 CFLAGS += -std=c11 $(OPT) $(WARN) -fPIC -fvisibility=hidden -pthread -ffp-contract=off $(SANFLAGS)
 CXXFLAGS += -std=c++17 $(OPT) -Wall -Wextra -Werror -fPIC -fvisibility=hidden -pthread $(SANFLAGS) \
 	$(if $(SAN),-fno-sanitize=vptr)
 LDFLAGS += -pthread $(SANFLAGS)
+# The fuzz targets are linked from what the tests with ASan are.
+COVERAGE := $(if $(findstring clang,$(CC)),$(if $(findstring address,$(SAN)),-fsanitize=fuzzer-no-link))
+$(BUILD)/daemon/%.o $(BUILD)/proto/%.o $(BUILD)/client/%.o: CFLAGS += $(COVERAGE)
+$(BUILD)/daemon/%.o: CXXFLAGS += $(COVERAGE)
 
 pkgcflags = $(shell pkg-config --cflags $(1) 2>/dev/null | sed 's/-I/-isystem /g')
 CPPFLAGS += $(call pkgcflags,OpenEXR libprotobuf-c libusb-1.0)
@@ -66,7 +72,7 @@ say = $(if $(V),,@echo "  $(1)")
 
 help:
 	@echo "make demo     build, start the daemon, bloom an HDR frame through the socket -> build/demo/"
-	@echo "make check    build and pass the tests (installs what is missing, 20 to 30 minutes)"
+	@echo "make check    build and pass the tests (installs what is missing, about 20 minutes); TEST='*sched': only what is called so"
 	@echo "make all      build/airyd (daemon), build/airy (command), build/libairy.so and .a"
 	@echo "make bench    speed: medians and ratios on this machine"
 	@echo "make bench-wall  a wall's picture, pass by pass;  make bench-usb  ten emulated controllers, SECONDS=60 each"

@@ -2,21 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 # embed.sh OUT_DIR - compiles every variant of every pass with glslang and writes OUT_DIR/spirv.h and, for
 # the named looks, OUT_DIR/spirv_look.h: the words of each, and a table of names. A variant's name says its -D flags; daemon/bloom_pipeline.c and
-# daemon/look_targets.c ask by name.
+# daemon/look_targets.c ask by name. One glslang a CPU.
 set -eu
 cd "$(dirname "$0")/.."
 out=$1
 tmp=$(mktemp -d)
 trap 'rm -rf "$tmp"' EXIT
-table=
 one() { # name file flags...
-    name=$1 file=$2
-    shift 2
-    glslangValidator --quiet -V --target-env vulkan1.3 -Ishaders "$@" --vn "spirv_$name" \
-        -o "$tmp/$name.h" "shaders/$file" >"$tmp/log" || { cat "$tmp/log" >&2; echo "shaders/$file $*" >&2; exit 1; }
-    sed -e '/#pragma/d' -e 's/^const/static const/' "$tmp/$name.h" >>"$tmp/all"
-    table="$table    { \"$name\", spirv_$name, sizeof(spirv_$name) },
-"
+    echo "$@" >>"$tmp/list"
 }
 one fullscreen fullscreen.vert
 # Names that end in _s16 read and write levels of half.
@@ -66,19 +59,27 @@ for half in "" _half; do
 done
 one wall_rows_level wall_rows.frag
 one wall_rows_layered wall_rows.frag -DLAYERED
-finish() { # header table: what `one` has gathered
+compile='
+name=$1 file=$2
+shift 2
+glslangValidator --quiet -V --target-env vulkan1.3 -Ishaders "$@" --vn "spirv_$name" -o "$0/$name.h" "shaders/$file" >"$0/$name.log" ||
+    { cat "$0/$name.log"; echo "shaders/$file $*"; exit 255; } >&2'
+finish() { # header table: what `one` has listed
+    xargs -L 1 -P "$(nproc)" sh -c "$compile" "$tmp" <"$tmp/list"
     {
         echo "/* Made by shaders/embed.sh. */"
         echo "#include <stddef.h>"
         echo "#include <stdint.h>"
-        cat "$tmp/all"
+        while read -r name _; do
+            cat "$tmp/$name.h"
+        done <"$tmp/list" | sed -e '/#pragma/d' -e 's/^const/static const/'
         echo "struct spirv_entry { const char *name; const uint32_t *words; size_t bytes; };"
         echo "static const struct spirv_entry $2[] = {"
-        printf '%s};\n' "$table"
+        sed 's/ .*//; s/.*/    { "&", spirv_&, sizeof(spirv_&) },/' "$tmp/list"
+        echo "};"
     } >"$tmp/header"
     mv "$tmp/header" "$out/$1"
-    rm "$tmp/all"
-    table=
+    rm "$tmp/list"
 }
 finish spirv.h spirv_table
 for matte in "" _matte; do

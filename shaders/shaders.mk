@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-SPIRV := $(BUILD)/gen/spirv.h $(BUILD)/gen/spirv_look.h
+SPIRV := $(SPIRV_DIR)/spirv.h $(SPIRV_DIR)/spirv_look.h
 
 $(SPIRV) &: shaders/embed.sh $(wildcard shaders/*.frag shaders/*.vert shaders/*.comp shaders/*.glsl)
 	@mkdir -p $(@D)
 	@echo "glslang shaders/* -> $(SPIRV)"
-	@sh shaders/embed.sh $(BUILD)/gen
+	@sh shaders/embed.sh $(SPIRV_DIR)

@@ -33,7 +33,7 @@ report() { # name status log
 targets=$(cd tests/fuzz && ls fuzz_*.c | sed 's/^fuzz_//; s/\.c$//')
 echo "1..$(($(echo "$targets" | wc -w) * 2))"
 for t in $targets; do
-    fuzz=$BUILD/fuzz/obj/tests/fuzz/fuzz_$t log=$work/$t.log
+    fuzz=$BUILD/asan/tests/fuzz/fuzz_$t log=$work/$t.log
     kept=$(find "$BUILD/fuzz/seeds/$t" "tests/fuzz/regressions/$t" -type f 2>/dev/null)
     with=
     [ "$t" = client ] && with=$device

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # One program a tests/test_<module>.c (cmocka), one script a tests/test_<name>.sh; both print TAP. `make check`
-# builds them three times (gcc, clang with ASan+UBSan, gcc with TSan), runs each where it means something, and ends in the
+# builds them three times (gcc, clang with ASan+UBSan, gcc with TSan what has threads), runs each where it means something, and ends in the
 # one line `N passed, N failed, N skipped`.
 
 T := $(BUILD)/tests
@@ -88,12 +88,14 @@ tests: $(TESTS) $(T)/make_vectors
 check: deps
 	@$(MAKE) --no-print-directory check-built
 
-SUB = $(MAKE) --no-print-directory -j$(shell nproc)
+SUB = $(MAKE) --no-print-directory -j$(shell nproc) SPIRV_DIR=$(SPIRV_DIR)
+ASAN = BUILD=$(BUILD)/asan CC=clang SAN=address,undefined
+TSAN = BUILD=$(BUILD)/tsan SAN=thread
 check-built:
-	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan, $(BUILD)/fuzz"
+	@echo "building: $(BUILD), $(BUILD)/asan, $(BUILD)/tsan"
 	@$(SUB) all tests
-	@$(SUB) BUILD=$(BUILD)/asan CC=clang SAN=address,undefined all tests
-	@$(SUB) BUILD=$(BUILD)/tsan SAN=thread all tests
+	@$(SUB) $(ASAN) all tests
+	@$(SUB) $(TSAN) all $$(bash tests/run.sh --threaded | sed 's|.*|$(BUILD)/tsan/tests/test_&|')
 	@$(MAKE) --no-print-directory fuzz-built
 	@BUILD=$(BUILD) bash tests/run.sh
 

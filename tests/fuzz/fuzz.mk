@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-# Fuzz targets (libFuzzer), one a tests/fuzz/fuzz_<name>.c. They are a variant of their own, build/fuzz/obj, made by
+# Fuzz targets (libFuzzer), one a tests/fuzz/fuzz_<name>.c, linked in the variant with ASan and UBSan, build/asan, by
 # `make fuzz-built`; seeds are made beside it by the plain build. `make check` runs tests/test_fuzz.sh.
 
 FUZZ_NAMES := $(patsubst tests/fuzz/fuzz_%.c,%,$(wildcard tests/fuzz/fuzz_*.c))
 FUZZ_TARGETS := $(FUZZ_NAMES:%=$(T)/fuzz/fuzz_%)
-FUZZ_MAKE = CFLAGS=-fno-sanitize-recover=undefined CXXFLAGS=-fno-sanitize-recover=undefined $(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz/obj CC=clang \
-	SAN=fuzzer-no-link,address,undefined
 
 $(T)/fuzz/%.o: CPPFLAGS += -Itests -Itests/tools
+$(T)/fuzz/%.o: CFLAGS += $(COVERAGE)
 $(T)/fuzz/fuzz_exr: $(T)/tools/exr_run.o
 $(T)/fuzz/fuzz_frames: $(BUILD)/client/frames.o
 
@@ -29,7 +28,7 @@ fuzz-seeds: $(T)/fuzz/make_seeds $(BUILD)/airyd
 	@rm -rf $(BUILD)/fuzz/seeds && mkdir -p $(BUILD)/fuzz
 	@AIRYD=$(BUILD)/airyd $(T)/fuzz/make_seeds $(BUILD)/fuzz/seeds
 fuzz-built: fuzz-seeds
-	@$(FUZZ_MAKE) fuzz-targets
+	@$(SUB) $(ASAN) fuzz-targets
 
 # Each target for MINUTES (shared among them all, two at a time); what is found is named, and kept in build/fuzz/found.
 # FUZZ="exr wall": only these.

@@ -18,7 +18,7 @@ one() {
     mkdir -p "$corpus" "tests/fuzz/regressions/$1"
     with=
     [ "$1" = client ] && with=$device
-    nice -n 19 $with "$BUILD/fuzz/obj/tests/fuzz/fuzz_$1" -max_total_time="$seconds" -timeout=20 -rss_limit_mb=1024 -max_len=65536 \
+    nice -n 19 $with "$BUILD/asan/tests/fuzz/fuzz_$1" -max_total_time="$seconds" -timeout=20 -rss_limit_mb=1024 -max_len=65536 \
         -print_final_stats=1 -artifact_prefix="$found/$1-" "$corpus" "$BUILD/fuzz/seeds/$1" "tests/fuzz/regressions/$1" \
         >"$logs/$1.log" 2>&1
     status=$?
