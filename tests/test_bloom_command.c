@@ -11,7 +11,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-enum { FRAMES = 5, POISON = 3, WAIT_MS = 30000 };
+enum { FRAMES = 5, POISON = 3, WAIT_MS = 100000 };
 
 static char folder[64], said[32768];
 static int listener;

@@ -127,7 +127,7 @@ check "no daemon at --socket" t
 "$AIRYD" --warm common --socket "$work/d.sock" 2>"$work/airyd.log" &
 daemon=$!
 started+=("$daemon")
-wait_for 60 "$AIRY" status --socket "$work/d.sock" >/dev/null 2>&1
+wait_for 200 "$AIRY" status --socket "$work/d.sock" >/dev/null 2>&1
 bloom() { "$AIRY" bloom --socket "$work/d.sock" "$@"; }
 
 t() {
@@ -295,7 +295,7 @@ begin_many() { # a private daemon with a lot to do; sets pid and child
     pid=$!
     started+=("$pid")
     why="it did not begin"
-    wait_for 60 test -e "$work/many.out/3.exr" || return 1
+    wait_for 200 test -e "$work/many.out/3.exr" || return 1
     child=$(children_of "$pid" | head -1)
     why="no private daemon"
     [ -n "$child" ] && started+=("$child")
@@ -308,13 +308,13 @@ all_whole() {
 t() {
     begin_many && kill -TERM "$pid" && wait "$pid"
     local status=$?
-    why="exit status $status" && [ $status -eq 143 ] && why="the private daemon stays" && wait_for 20 gone "$child" &&
-        why="a file is not whole" && all_whole && wait_for 5 nothing_left "$work/many.out"
+    why="exit status $status" && [ $status -eq 143 ] && why="the private daemon stays" && wait_for 200 gone "$child" &&
+        why="a file is not whole" && all_whole && wait_for 200 nothing_left "$work/many.out"
 }
 check "SIGTERM: nothing half-written, no daemon, no folder" t
 t() {
     begin_many && kill -KILL "$pid" && wait "$pid" 2>/dev/null
-    why="the private daemon stays" && wait_for 20 gone "$child" || return 1
+    why="the private daemon stays" && wait_for 200 gone "$child" || return 1
     rm -f "$work"/many.out/.*.airy-* # what even the kernel cannot clean up after kill -9
     why="a file is not whole" && all_whole && rm -rf "$XDG_RUNTIME_DIR"/airy-* "$TMPDIR"/airy-*
 }

@@ -29,7 +29,7 @@ daemon_start() {
     started+=("$daemon")
 }
 daemon_start
-wait_for 60 "$AIRY" status --socket "$socket" >/dev/null 2>&1
+wait_for 200 "$AIRY" status --socket "$socket" >/dev/null 2>&1
 bloom() { "$AIRY" bloom --socket "$socket" "$@"; }
 fresh() { rm -rf "$work/o" && mkdir "$work/o"; }
 range() { bloom "$work/seq/in.####.exr" -o "$work/o/out.####.exr" --json -q "$@"; }
@@ -213,10 +213,10 @@ t() { # the daemons are
     kill -KILL "$daemon" && wait "$daemon" 2>/dev/null
     keep_daemon 2>/dev/null &
     started+=($!)
-    wait_for 60 "$AIRY" status --socket "$socket" >/dev/null 2>&1 || return 1
+    wait_for 200 "$AIRY" status --socket "$socket" >/dev/null 2>&1 || return 1
     for round in $(seq 1 "${ROUNDS:-10}"); do
         fresh
-        wait_for 60 answers
+        wait_for 200 answers
         "${many[@]}" >"$work/out" 2>"$work/err" &
         pid=$!
         pause
@@ -225,7 +225,7 @@ t() { # the daemons are
         local status=$?
         # Killed before the run had connected: it says so, and may be tried again.
         if [ $status -eq 5 ] && says 'no daemon answers' && why="round $round: a daemon that was there was not waited for" && ended 0 done; then
-            wait_for 60 answers && exits 0 "${many[@]}"
+            wait_for 200 answers && exits 0 "${many[@]}"
             status=$?
         fi
         why="round $round: exit status $status" && [ $status -eq 0 ] && complete && why="frames were done twice" && ended $FRAMES done || return 1

@@ -25,7 +25,7 @@ export AIRY_SOCKET=$work/s
 "$AIRYD" --warm common --socket "$AIRY_SOCKET" 2>"$work/airyd.log" &
 daemon=$!
 answers() { "$AIRY" status >/dev/null 2>&1; }
-wait_for 60 answers
+wait_for 200 answers
 
 block() { awk -v lang="^\`\`\`$2\$" '$0 ~ lang { in_it = 1; next } /^```$/ { in_it = 0 } in_it' "$1"; } # page language
 entry() { block "$DEADLINE" ini | sed -n "s/^$1=//p"; }
@@ -137,7 +137,7 @@ done
 left() { pgrep -f "$work/.*lifetime-fd" >/dev/null; }
 t() { # without a shared daemon each run has its own, which ends with it
     fresh && exits 0 env -u AIRY_SOCKET XDG_RUNTIME_DIR="$work" sh -c "${line//#FRAMESPEC#/1001-1002}" && ended 2 done && wrote "1001 1002 " &&
-        why="the run's own daemon stays" && wait_for 60 eval '! left'
+        why="the run's own daemon stays" && wait_for 200 eval '! left'
 }
 check "without AIRY_SOCKET each starts its own daemon" t
 finish_tap

@@ -10,7 +10,7 @@
 
 #include "daemon_fixture.h"
 
-enum { SIDE = 32, IMAGE_BYTES = SIDE * SIDE * 12, CREDIT_WAIT_MS = 10000 };
+enum { SIDE = 32, IMAGE_BYTES = SIDE * SIDE * 12, CREDIT_WAIT_MS = 60000 };
 
 static struct daemon the_daemon;
 

@@ -164,8 +164,8 @@ check "a rule for each controller" t
 t() {
     systemd-socket-activate -l "$work/a.sock" "$AIRYD" --warm common 2>"$work/log" &
     started+=($!)
-    why="no socket" && wait_for 20 test -S "$work/a.sock" && why="no answer through systemd's socket" &&
-        timeout 60 "$AIRY" status --socket "$work/a.sock" >"$work/out" &&
+    why="no socket" && wait_for 200 test -S "$work/a.sock" && why="no answer through systemd's socket" &&
+        timeout 200 "$AIRY" status --socket "$work/a.sock" >"$work/out" &&
         why="it does not say whose socket it is" && grep -q "ready on systemd's socket" "$work/log" &&
         why="no clean end" && kill -TERM "${started[-1]}" && wait "${started[-1]}" && why="the socket is not its to remove" && [ -S "$work/a.sock" ]
 }
@@ -194,7 +194,7 @@ manage() { # limit in microseconds, environment...: sets pid
     rm -f "$work/notify" "$work/notes"
     env "${@:2}" python3 "$work/manager.py" "$work/notify" "$work/log" "$1" "$AIRYD" --socket "$work/m.sock" --warm common >"$work/notes" &
     started+=($!)
-    why="it did not become ready" && wait_for 60 grep -q '^READY=1 STATUS=ready on ' "$work/notes" || return 1
+    why="it did not become ready" && wait_for 200 grep -q '^READY=1 STATUS=ready on ' "$work/notes" || return 1
     pid=$(sed -n 's/^pid //p' "$work/notes")
     started+=("$pid")
 }
@@ -202,12 +202,12 @@ t() {
     local seen
     manage 1000000 || return 1
     why="READY did not come first: $(sed -n 2p "$work/notes")" && sed -n 2p "$work/notes" | grep -q '^READY=1' &&
-        why="idle, and not fed again and again" && wait_for 20 more '^WATCHDOG=1$' 3 &&
-        kill -HUP "$pid" && why="SIGHUP: no RELOADING with its time" && wait_for 20 grep -qE '^RELOADING=1 MONOTONIC_USEC=[0-9]+$' "$work/notes" &&
-        why="and no READY after it" && wait_for 20 eval 'sed "1,/^RELOADING/d" "$work/notes" | grep -q "^READY=1"' || return 1
+        why="idle, and not fed again and again" && wait_for 200 more '^WATCHDOG=1$' 3 &&
+        kill -HUP "$pid" && why="SIGHUP: no RELOADING with its time" && wait_for 200 grep -qE '^RELOADING=1 MONOTONIC_USEC=[0-9]+$' "$work/notes" &&
+        why="and no READY after it" && wait_for 200 eval 'sed "1,/^RELOADING/d" "$work/notes" | grep -q "^READY=1"' || return 1
     seen=$(count '^WATCHDOG=1$')
-    why="no longer fed after SIGHUP" && wait_for 20 more '^WATCHDOG=1$' "$seen" &&
-        kill -TERM "$pid" && why="no STOPPING, or no clean end" && wait_for 20 grep -q '^exit 0$' "$work/notes" && grep -q '^STOPPING=1$' "$work/notes" &&
+    why="no longer fed after SIGHUP" && wait_for 200 more '^WATCHDOG=1$' "$seen" &&
+        kill -TERM "$pid" && why="no STOPPING, or no clean end" && wait_for 200 grep -q '^exit 0$' "$work/notes" && grep -q '^STOPPING=1$' "$work/notes" &&
         why="it gave up a device that was idle" && ! grep -q trigger "$work/notes"
 }
 needs python3 "READY, the watchdog when idle, reload, stop" && check "READY, the watchdog when idle, reload, stop" t
@@ -233,14 +233,14 @@ t() {
     "$AIRY" bloom --socket "$work/m.sock" "$work/in.exr" "$work/out.exr" >"$work/out" 2>&1 &
     local client=$! fed
     started+=("$client")
-    why="the device hangs, and it is not given up" && wait_for 30 grep -q '^WATCHDOG=trigger$' "$work/notes" &&
+    why="the device hangs, and it is not given up" && wait_for 200 grep -q '^WATCHDOG=trigger$' "$work/notes" &&
         why="its words do not say why" && grep -q 'the device has made no progress for ' "$work/log" &&
-        why="the loop stopped with it" && timeout 20 "$AIRY" status --socket "$work/m.sock" >/dev/null || return 1
+        why="the loop stopped with it" && timeout 200 "$AIRY" status --socket "$work/m.sock" >/dev/null || return 1
     fed=$(sed '1,/trigger/d' "$work/notes" | grep -c '^WATCHDOG=1$')
     why="fed $fed times after it was given up" && [ "$fed" -eq 0 ] && rm "$work/hang" &&
         why="the frame that hung is not done" && wait "$client" && [ -s "$work/out.exr" ] &&
-        why="progress, and not fed" && wait_for 20 eval 'sed "1,/trigger/d" "$work/notes" | grep -q "^WATCHDOG=1$"' &&
-        kill -TERM "$pid" && wait_for 20 grep -q '^exit 0$' "$work/notes"
+        why="progress, and not fed" && wait_for 200 eval 'sed "1,/trigger/d" "$work/notes" | grep -q "^WATCHDOG=1$"' &&
+        kill -TERM "$pid" && wait_for 200 grep -q '^exit 0$' "$work/notes"
 }
 if needs python3 "a device that hangs"; then
     if nm -D "$AIRYD" | grep -qE '__(asan|tsan)_'; then
@@ -252,7 +252,7 @@ if needs python3 "a device that hangs"; then
 fi
 t() {
     why="WATCHDOG_USEC=soon was taken"
-    WATCHDOG_USEC=soon WATCHDOG_PID='' timeout 60 "$AIRYD" --socket "$work/w.sock" 2>"$work/log"
+    WATCHDOG_USEC=soon WATCHDOG_PID='' timeout 200 "$AIRYD" --socket "$work/w.sock" 2>"$work/log"
     [ $? -eq 1 ] && why="the field is not named" && grep -q 'WATCHDOG_USEC: "soon"; expected microseconds' "$work/log"
 }
 check "WATCHDOG_USEC that is no number" t

@@ -36,7 +36,7 @@ load() { # one frame after the other, a few a second
 keep_daemon 2>/dev/null &
 started+=($!)
 answers() { "$AIRY" status --socket "$socket" >/dev/null 2>&1; }
-wait_for 60 answers
+wait_for 200 answers
 load &
 started+=($!)
 
@@ -71,8 +71,8 @@ t() { # lines: said once, and it goes on
     "$AIRY" top --socket "$socket" --json >"$work/json" 2>"$work/gone" &
     local top=$!
     lines() { [ "$(wc -l <"$work/json")" -ge "$1" ]; }
-    why="no lines" && wait_for 60 lines 1 && kill -KILL "$(cat "$work/pid")" && why="not said" && wait_for 60 grep -q 'asked again' "$work/gone" && why="not back" &&
-        wait_for 60 answers && wait_for 60 lines $(($(wc -l <"$work/json") + 2))
+    why="no lines" && wait_for 200 lines 1 && kill -KILL "$(cat "$work/pid")" && why="not said" && wait_for 60 grep -q 'asked again' "$work/gone" && why="not back" &&
+        wait_for 200 answers && wait_for 60 lines $(($(wc -l <"$work/json") + 2))
     local status=$?
     kill -TERM $top && wait $top && [ $status -eq 0 ] && why="said $(wc -l <"$work/gone") times" && [ "$(wc -l <"$work/gone")" -eq 1 ]
 }

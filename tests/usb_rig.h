@@ -9,7 +9,7 @@
 #include "usb.h"
 #include "usb_kit.h"
 
-enum { RIG_WAIT_MS = 10000, RIG_LEDS_MAX = 256 * 128 };
+enum { RIG_WAIT_MS = 60000, RIG_LEDS_MAX = 256 * 128 };
 
 extern struct usb_kit *rig_kit;
 

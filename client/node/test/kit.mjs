@@ -16,7 +16,7 @@ import { decode, encode } from '../lib/protobuf.js';
 export const { AIRY_ROOT: root, AIRY: airyCommand, AIRYD: airyd, SCENE: sceneMaker } = process.env;
 export const work = mkdtempSync(join(tmpdir(), 'airy-node-'));
 export const run = promisify(execFile);
-const STEP_MS = 60_000;
+const STEP_MS = 300_000;
 
 // ---- TAP ----------------------------------------------------------------------------------------
 

@@ -97,7 +97,7 @@ class Daemon:
     def start(self) -> None:
         self.process = subprocess.Popen([AIRYD, "--socket", self.path, *self.options], stderr=self.log)
 
-    def wait_ready(self, seconds: float = 60) -> "Daemon":
+    def wait_ready(self, seconds: float = 300) -> "Daemon":
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             if self.process.poll() is not None:
