@@ -5,6 +5,21 @@
 # reports, or has none has failed. What failed is said when it does and again at the end. TEST='*sched' runs only what is called so.
 set -u
 cd "$(dirname "$0")/.."
+
+pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
+    libairy_retry libairy_kill bloom_command machine server_faults \
+    frames output exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
+    server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
+device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched room server_memory wall_engine"
+usb="panel panel_gud usb usb_faults usb_daemon"
+# Under TSan, too; `run.sh --threaded` names them.
+threaded="conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset wall_pace wall_boards"
+threaded_server="server_limits server_faults server_frames server_life server_assets server_walls server_looks server"
+if [ "${1:-}" = --threaded ]; then
+    printf '%s\n' $threaded $threaded_server $usb sched exr
+    exit
+fi
+
 BUILD=${BUILD:-build}
 LOGS=$BUILD/check
 mkdir -p "$LOGS"
@@ -55,22 +70,17 @@ A=$BUILD/asan S=$BUILD/tsan
 keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OPTIONS:verify_asan_link_order=0"
 # The driver's compiler holds more locks at once than TSan's deadlock detector can count (its own CHECK fails).
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
-pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
-    libairy_retry libairy_kill bloom_command machine server_faults \
-    frames output exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
-    server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
-device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched room server_memory wall_engine"
-usb="panel panel_gud usb usb_faults usb_daemon"
-# Under TSan, too.
-threaded="conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset wall_pace wall_boards"
-threaded_server="server_limits server_faults server_frames server_life server_assets server_walls server_looks server"
+# The driver's optimiser is half of what these take, which draw with hundreds of pipelines: they do without. (All others, and
+# `make soak-scenes` and `make report`, have it.)
+unoptimised="env GALLIVM_PERF=nopt"
 
 # One line a piece of work: its command, or several that must not run beside each other, first those that take longest (a long one
 # that begins last would run alone) and those whose shaders the others then find in the cache.
 work() {
-    for t in look property wall_engine; do
-        echo "run $t \$BUILD/tests/test_$t"
+    for t in look property; do
+        echo "run $t \$unoptimised \$BUILD/tests/test_$t"
     done
+    echo "run wall_engine \$BUILD/tests/test_wall_engine"
     echo boards
     for t in $threaded_server; do
         echo "AIRYD=\$S/airyd AIRY=\$S/airy run tsan-$t \$many_locks \$S/tests/test_$t"
@@ -80,10 +90,11 @@ work() {
         echo "AIRYD=\$BUILD/airyd AIRY=\$BUILD/airy run $(basename "${s%.sh}" | sed 's/^test_//') bash $s"
     done
     for t in $device; do
-        case $t in look | property | wall_engine) ;; *) echo "run $t \$BUILD/tests/test_$t" ;; esac
-        [ $t = property ] || echo "run asan-$t \$keep \$A/tests/test_$t"
+        case $t in look | property) continue ;; wall_engine) ;; *) echo "run $t \$BUILD/tests/test_$t" ;; esac
+        echo "run asan-$t \$keep \$A/tests/test_$t"
     done
-    echo "run asan-property \$keep AIRY_SCENES=60 \$A/tests/test_property"
+    echo "run asan-look \$unoptimised \$keep \$A/tests/test_look"
+    echo "run asan-property \$unoptimised \$keep AIRY_SCENES=60 \$A/tests/test_property"
     for t in $pure; do
         echo "AIRYD=\$A/airyd AIRY=\$A/airy run asan-$t \$A/tests/test_$t"
         echo "AIRYD=\$BUILD/airyd AIRY=\$BUILD/airy run $t \$BUILD/tests/test_$t"
@@ -108,7 +119,10 @@ boards() {
 
 export -f run boards
 export TEST=${TEST:-*}
-export BUILD LOGS A S keep many_locks usb
+export BUILD LOGS A S keep many_locks unoptimised usb
+# What every daemon draws with at its start comes out of the cache then, or many would make it at the same time, each taking that much longer.
+"$BUILD/demo/scene" "$LOGS/warm.exr" && AIRYD=$BUILD/airyd "$BUILD/airy" bloom --overwrite "$LOGS/warm.exr" "$LOGS/warm.out.exr" >"$LOGS/warm.log" 2>&1 ||
+    { cat "$LOGS/warm.log" && echo "0 1 0" >"$LOGS/warm.count"; }
 # One more than there are CPUs: boards, daemons and clients wait much of their time.
 work | xargs -d '\n' -P $(($(nproc) + 1)) -n 1 bash -c
 # Every program under tests/ is in a list above; one that is not would never run.
