@@ -56,14 +56,14 @@ keep="env AIRY_TEST_VALIDATE=0 LD_PRELOAD=libvulkan_lvp.so ASAN_OPTIONS=$ASAN_OP
 # The driver's compiler holds more locks at once than TSan's deadlock detector can count (its own CHECK fails).
 many_locks="env TSAN_OPTIONS=$TSAN_OPTIONS:detect_deadlocks=0"
 pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
-    libairy_retry libairy_kill bloom_command machine server_faults \
+    libairy_retry libairy_kill bloom_command machine server_faults server_loss \
     frames output exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
     server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched room server_memory wall_engine"
 usb="panel panel_gud usb usb_faults usb_daemon"
 # Under TSan, too.
 threaded="conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset wall_pace wall_boards"
-threaded_server="server_limits server_faults server_frames server_life server_assets server_walls server_looks server"
+threaded_server="server_limits server_faults server_loss server_frames server_life server_assets server_walls server_looks server"
 
 # One line a piece of work: its command, or several that must not run beside each other, first those that take longest (a long one
 # that begins last would run alone) and those whose shaders the others then find in the cache.
