@@ -425,6 +425,8 @@ void sched_rewind_all(struct sched_lane *l, const struct fault *f)
         job_rewind(j);
         enter(l->sched, j, JOB_OPEN);
     }
+    if (l->lost) // nobody may have had a job in it
+        event(l->sched);
 }
 
 // ---- from the socket thread --------------------------------------------------------------------------
@@ -547,9 +549,9 @@ struct sched_counts sched_counts(struct sched *s)
     pthread_mutex_lock(&s->lock);
     struct sched_counts c = { .load_bytes = s->room.load,
                               .work_bytes = s->room.work,
-                              .work_peak_bytes = s->room.work_peak,
-                              .device_dead = s->lane[LANE_FRAMES].dead };
+                              .work_peak_bytes = s->room.work_peak };
     for (unsigned i = 0; i < LANES; i++) {
+        c.device_dead |= s->lane[i].lost;
         c.waiting += s->lane[i].n_waiting;
         c.running += s->lane[i].running;
     }

@@ -116,7 +116,7 @@ void sched_event_clear(struct sched *s);
 struct sched_counts {
     unsigned waiting, running;
     uint64_t load_bytes, work_bytes, work_peak_bytes;
-    bool device_dead; /* that of frames, lost, and could not be had again: nothing more will be bloomed */
+    bool device_dead; /* that of frames, or of walls, was there, and could not be had again: those will not be bloomed any more */
 };
 struct sched_counts sched_counts(struct sched *s);
 /* clock_ns() of the last progress (pulse.h) of the device thread that has gone longest without; 0 when none has anything to

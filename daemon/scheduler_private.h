@@ -59,7 +59,8 @@ struct sched_lane {
     uint64_t keep[BLOOM_KEEPS];         /* bytes of what the engine keeps beside planes */
     bool drop_keep;
     bool hold;                          /* nothing but FINISH is claimed */
-    bool dead;                          /* its device is lost, and could not be had again */
+    bool dead;                          /* it has no device, and will not get one */
+    bool lost;                          /* ... and had one before */
     unsigned slots, regular;            /* those above `regular` are for jobs that pass others */
     struct sched_slot slot[SCHED_SLOTS_MAX + 1];
     struct bloom *bloom;                /* the device thread's, once it runs */

@@ -110,7 +110,7 @@ static void device_replace(struct sched_lane *l, const struct fault *f)
     }
     pthread_mutex_lock(&s->lock);
     l->validation_messages += messages;
-    l->dead = rc < 0;
+    l->dead = l->lost = rc < 0;
     sched_rewind_all(l, f);
     l->hold = false;
     pthread_cond_broadcast(&s->pool_wake);

@@ -268,7 +268,7 @@ static void on_sched(struct server *s)
     }
     if (sched_counts(s->host.sched).device_dead && !s->host.draining) {
         s->exit_status = EXIT_DEVICE_LOST;
-        drain(s, "no Vulkan device is left");
+        drain(s, "a Vulkan device is lost for good");
     }
 }
 

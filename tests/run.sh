@@ -7,14 +7,14 @@ set -u
 cd "$(dirname "$0")/.."
 
 pure="wall_def wall_layout psf plan frame params params_check reference reference_pipeline wire conn libairy libairy_request libairy_bad \
-    libairy_retry libairy_kill bloom_command machine server_faults \
+    libairy_retry libairy_kill bloom_command machine server_faults server_loss \
     frames output exr exr_layers exr_grow exr_bad raw asset libairy_asset libairy_wall wall_text server server_assets server_life server_frames \
     server_limits server_looks server_walls wall_colour wall_pace wall_boards wall_command wall_draw"
 device="look engine hard hard_slide hard_picture hard_kernel property kernel convolve sched room server_memory wall_engine"
 usb="panel panel_gud usb usb_faults usb_daemon"
 # Under TSan, too; `run.sh --threaded` names them.
 threaded="conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset wall_pace wall_boards"
-threaded_server="server_limits server_faults server_frames server_life server_assets server_walls server_looks server"
+threaded_server="server_limits server_faults server_loss server_frames server_life server_assets server_walls server_looks server"
 if [ "${1:-}" = --threaded ]; then
     printf '%s\n' $threaded $threaded_server $usb sched exr
     exit

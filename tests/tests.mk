@@ -35,6 +35,16 @@ $(T)/reference/reference.o $(T)/scene_kernel.o: CFLAGS += $(if $(SAN),,-O3)
 # The device is the real one; only its loss is injected.
 $(T)/test_sched: LDFLAGS += -Wl,--wrap=bloom_run,--wrap=bloom_create
 
+# ... and here by a Vulkan layer, which the loader finds by its manifest. It stays loaded, and its counts with it.
+LAYER_LOSS := $(T)/layer_loss.so $(T)/vulkan/implicit_layer.d/layer_loss.json
+$(T)/test_server_loss: $(T)/daemon_fixture.o $(T)/daemon_picture.o | $(LAYER_LOSS)
+$(T)/layer_loss.so: $(T)/layer_loss.o
+	$(call say,LD $@)
+	$(Q)$(CC) $(LDFLAGS) -shared -Wl,-z,nodelete $< -o $@
+$(T)/vulkan/implicit_layer.d/layer_loss.json: tests/layer_loss.json
+	@mkdir -p $(@D)
+	$(Q)cp $< $@
+
 # The daemon's own allocations can be refused.
 $(T)/test_server_memory: LDFLAGS += -Wl,--wrap=malloc,--wrap=calloc,--wrap=realloc,--wrap=mmap
 $(T)/test_server_limits $(T)/test_server_memory $(T)/test_server_faults: $(T)/daemon_fixture.o $(T)/daemon_picture.o
