@@ -14,7 +14,7 @@ device="look engine hard hard_slide hard_picture hard_kernel property kernel con
 usb="panel panel_gud usb usb_faults usb_daemon"
 # Under TSan, too; `run.sh --threaded` names them.
 threaded="conn libairy libairy_request libairy_retry libairy_asset libairy_wall asset wall_pace wall_boards"
-threaded_server="server_limits server_faults server_loss server_frames server_life server_assets server_walls server_looks server"
+threaded_server="server_limits server_faults server_frames server_life server_assets server_walls server_looks server"
 if [ "${1:-}" = --threaded ]; then
     printf '%s\n' $threaded $threaded_server $usb sched exr
     exit
