@@ -343,10 +343,23 @@ static gboolean on_ioctl(UMockdevIoctlBase *handler, UMockdevIoctlClient *client
     return TRUE;
 }
 
-unsigned kit_open_fds(const struct kit_board *b)
+static void see(struct kit_board *b)
+{
+    pthread_mutex_lock(&b->lock);
+    pthread_mutex_unlock(&b->lock);
+}
+
+void kit_see_all(struct usb_kit *k)
+{
+    for (unsigned i = 0; i < k->boards; i++)
+        see(k->board[i]);
+}
+
+unsigned kit_open_fds(struct kit_board *b)
 {
     unsigned n = 0;
     char path[64], to[1024];
+    see(b);
     for (unsigned fd = 0; fd < 1024; fd++) {
         snprintf(path, sizeof(path), "/proc/self/fd/%u", fd);
         const ssize_t length = readlink(path, to, sizeof(to) - 1);
@@ -656,10 +669,12 @@ static bool has_frames(const struct kit_board *b, uint64_t n) { return b->frames
 
 bool kit_wait_frames(struct kit_board *b, uint64_t frames, unsigned ms) { return kit_wait(b, has_frames, frames, ms); }
 
-uint64_t kit_frames(struct kit_board *b)
+uint64_t kit_count(struct kit_board *b, const uint64_t *of)
 {
     pthread_mutex_lock(&b->lock);
-    const uint64_t n = b->frames;
+    const uint64_t n = *of;
     pthread_mutex_unlock(&b->lock);
     return n;
 }
+
+uint64_t kit_frames(struct kit_board *b) { return kit_count(b, &b->frames); }

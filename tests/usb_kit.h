@@ -100,10 +100,13 @@ void kit_unplug_all(struct usb_kit *k);
 void kit_vanish(struct kit_board *b);   /* as unplug, but no event */
 
 /* Handles of this process that are open on the board's node (its last one). */
-unsigned kit_open_fds(const struct kit_board *b);
+unsigned kit_open_fds(struct kit_board *b);
+/* What came before may be read without the locks until more comes: of boards at rest. kit_open_fds and rig_until do it, too. */
+void kit_see_all(struct usb_kit *k);
 /* Waits until the condition on the board is true, looked at under its lock; false after ms. */
 bool kit_wait(struct kit_board *b, bool (*is)(const struct kit_board *b, uint64_t n), uint64_t n, unsigned ms);
 bool kit_wait_frames(struct kit_board *b, uint64_t frames, unsigned ms);
+uint64_t kit_count(struct kit_board *b, const uint64_t *of); /* one of its counts, while it may grow */
 uint64_t kit_frames(struct kit_board *b);
 #define KIT_SET(b, field, value) \
     do { \

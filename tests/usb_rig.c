@@ -153,6 +153,7 @@ bool rig_until(bool (*is)(void *arg), void *arg)
             return false;
         rig_sleep_ms(2);
     }
+    kit_see_all(rig_kit);
     return true;
 }
 
