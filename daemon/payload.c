@@ -90,18 +90,32 @@ int payload_map(struct payload *p, bool writable, const char *field, struct faul
     return 0;
 }
 
-static int file_check(struct payload *p, struct fault *f)
+static int file_check(struct payload *p, struct stat *st, struct fault *f)
 {
-    struct stat st;
-    if (fstat(p->fd, &st) < 0)
+    if (fstat(p->fd, st) < 0)
         return fault_set(f, FAULT_PAYLOAD, "input.fd", "fstat: %s", strerror(errno));
-    if (!S_ISREG(st.st_mode))
+    if (!S_ISREG(st->st_mode))
         return fault_set(f, FAULT_PAYLOAD, "input.fd", "the descriptor is no regular file (mode 0%o)",
-                         (unsigned)st.st_mode);
+                         (unsigned)st->st_mode);
     int flags = fcntl(p->fd, F_GETFL);
     if (flags < 0 || (flags & O_ACCMODE) == O_WRONLY || (flags & O_PATH))
         return fault_set(f, FAULT_PAYLOAD, "input.fd", "the file is not open for reading");
-    return range_check(p, (uint64_t)st.st_size, "input", f);
+    return range_check(p, (uint64_t)st->st_size, "input", f);
+}
+
+/*
+ * A file that is cut while it is read may give zeros instead of an end: the kernel clears the rest of its last page under a read that has begun.
+ * Its size says so afterwards. One that is written to shows it by its time, as finely as the file system keeps that.
+ */
+static int file_check_again(struct payload *p, const struct stat *before, struct fault *f)
+{
+    struct stat now;
+    if (file_check(p, &now, f) < 0)
+        return -1;
+    if (now.st_size != before->st_size || now.st_mtim.tv_sec != before->st_mtim.tv_sec || now.st_mtim.tv_nsec != before->st_mtim.tv_nsec)
+        return fault_set(f, FAULT_PAYLOAD, "input.fd", "the file was written to while it was read (%lld bytes, then %lld); expected a finished one",
+                         (long long)before->st_size, (long long)now.st_size);
+    return 0;
 }
 
 static int read_all(const struct payload *p, uint8_t *to, struct fault *f)
@@ -128,7 +142,8 @@ static int read_all(const struct payload *p, uint8_t *to, struct fault *f)
 
 int payload_load(struct payload *p, struct block_pool *blocks, uint64_t max_bytes, struct fault *f)
 {
-    if (p->kind == PAYLOAD_FILE && file_check(p, f) < 0)
+    struct stat st;
+    if (p->kind == PAYLOAD_FILE && file_check(p, &st, f) < 0)
         return -1;
     if (p->size > max_bytes)
         return fault_set(f, FAULT_LIMIT, "input.size", "%llu bytes; at most %llu are taken",
@@ -138,7 +153,9 @@ int payload_load(struct payload *p, struct block_pool *blocks, uint64_t max_byte
         return fault_set(f, FAULT_NO_MEMORY, "input.size", "no memory for %llu bytes",
                          (unsigned long long)p->size);
     p->data = p->block->data;
-    return read_all(p, p->data, f);
+    if (read_all(p, p->data, f) < 0)
+        return -1;
+    return p->kind == PAYLOAD_FILE ? file_check_again(p, &st, f) : 0;
 }
 
 void payload_finish(struct payload *p, struct block_pool *blocks)

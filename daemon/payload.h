@@ -37,7 +37,7 @@ int payload_check_memfd(struct payload *p, bool writable, const char *field, str
 /* Maps a checked memfd: data is valid until payload_finish. */
 int payload_map(struct payload *p, bool writable, const char *field, struct fault *f);
 /* Reads all of a memfd or a file into a block (may block on the file's disk). A size of 0 becomes
- * what the file has from offset on; larger than max_bytes is FAULT_LIMIT. */
+ * what the file has from offset on; larger than max_bytes is FAULT_LIMIT, a file that changes meanwhile FAULT_PAYLOAD. */
 int payload_load(struct payload *p, struct block_pool *blocks, uint64_t max_bytes, struct fault *f);
 void payload_finish(struct payload *p, struct block_pool *blocks);
 
