@@ -19,14 +19,14 @@
 
 enum { START_MS = 300000, STOP_MS = 300000, REPLY_MS = 300000, ARGS_MAX = 24 };
 
-static int64_t now_ms(void)
+int64_t daemon_now_ms(void)
 {
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (int64_t)t.tv_sec * 1000 + t.tv_nsec / 1000000;
 }
 
-static void nap(void) { nanosleep(&(struct timespec){ .tv_nsec = 5000000 }, NULL); }
+void daemon_nap(void) { nanosleep(&(struct timespec){ .tv_nsec = 5000000 }, NULL); }
 
 static const char *airyd(void)
 {
@@ -94,7 +94,7 @@ void daemon_start(struct daemon *d, const char *const *options)
     if (d->pid == 0)
         daemon_exec((const char *const[]){ "--socket", d->path, "--lifetime-fd", fd_text, NULL }, options);
     close(ends[0]);
-    for (int64_t limit_ms = start_ms(), end = now_ms() + limit_ms;;) {
+    for (int64_t limit_ms = start_ms(), end = daemon_now_ms() + limit_ms;;) {
         int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
         struct sockaddr_un a = { .sun_family = AF_UNIX };
         strcpy(a.sun_path, d->path);
@@ -105,19 +105,19 @@ void daemon_start(struct daemon *d, const char *const *options)
         int status;
         if (waitpid(d->pid, &status, WNOHANG) == d->pid)
             fail_msg("airyd ended at its start, status 0x%x", (unsigned)status);
-        if (now_ms() > end) {
+        if (daemon_now_ms() > end) {
             kill(d->pid, SIGKILL);
             fail_msg("airyd did not start in %lld ms", (long long)limit_ms);
         }
-        nap();
+        daemon_nap();
     }
 }
 
 int daemon_wait(struct daemon *d)
 {
     int status = 0;
-    for (int64_t end = now_ms() + STOP_MS; waitpid(d->pid, &status, WNOHANG) != d->pid; nap())
-        if (now_ms() > end) {
+    for (int64_t end = daemon_now_ms() + STOP_MS; waitpid(d->pid, &status, WNOHANG) != d->pid; daemon_nap())
+        if (daemon_now_ms() > end) {
             kill(d->pid, SIGKILL);
             waitpid(d->pid, &status, 0);
             fail_msg("airyd did not end in %d ms", STOP_MS);
@@ -220,10 +220,10 @@ void peer_close(struct peer *p)
 void peer_flush(struct peer *p)
 {
     int rc;
-    for (int64_t end = now_ms() + REPLY_MS; (rc = conn_flush(p->conn)) == 0;) {
+    for (int64_t end = daemon_now_ms() + REPLY_MS; (rc = conn_flush(p->conn)) == 0;) {
         struct pollfd f = { .fd = conn_fd(p->conn), .events = POLLOUT };
         poll(&f, 1, 100);
-        if (now_ms() > end)
+        if (daemon_now_ms() > end)
             fail_msg("the daemon does not read");
     }
 }
@@ -231,7 +231,7 @@ void peer_flush(struct peer *p)
 int peer_next(struct peer *p, struct conn_message *m, int timeout_ms)
 {
     struct fault f;
-    int64_t end = now_ms() + timeout_ms;
+    int64_t end = daemon_now_ms() + timeout_ms;
     for (;;) {
         int rc = conn_next(p->conn, m, &f);
         if (rc < 0)
@@ -243,7 +243,7 @@ int peer_next(struct peer *p, struct conn_message *m, int timeout_ms)
             return -1;
         if (rc > 0)
             continue;
-        int64_t left = end - now_ms();
+        int64_t left = end - daemon_now_ms();
         if (left < 0)
             return 0;
         struct pollfd poll_fd = { .fd = conn_fd(p->conn), .events = POLLIN };

@@ -38,6 +38,9 @@ void daemon_exec(const char *const *first, const char *const *more) __attribute_
 
 /* True when the tests are built with a sanitizer: bounds on time and memory mean nothing then. */
 bool daemon_sanitized(void);
+/* CLOCK_MONOTONIC; and a moment between two looks at what is waited for. */
+int64_t daemon_now_ms(void);
+void daemon_nap(void);
 
 /* A connection of libairy to it, which does not come back: so that a test sees what the daemon did. */
 struct airy *daemon_join(const struct daemon *d);

@@ -14,7 +14,6 @@
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <sys/wait.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "daemon_fixture.h"
@@ -26,13 +25,6 @@ static unsigned fds_at_start;
 static struct picture picture;
 static uint8_t *first; // what it made of the picture
 static struct rlimit fds_allowed;
-
-static uint64_t now_ms(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (uint64_t)t.tv_sec * 1000 + (uint64_t)t.tv_nsec / 1000000;
-}
 
 // The picture's bloom, by memfd or inline. 0, or -1 and *e.
 static int bloom(struct airy *a, bool by_memfd, struct airy_error *e)
@@ -290,9 +282,9 @@ static void test_table_full(void **state)
     h.version_min = h.version_max = 1;
     assert_int_equal(body_send(late.conn, WIRE_HELLO, 0, &h.base, NULL, 0), 0);
     peer_flush(&late);
-    const uint64_t turns = peer_status(&watcher)->loop_turns, from_ms = now_ms();
+    const uint64_t turns = peer_status(&watcher)->loop_turns, from_ms = (uint64_t)daemon_now_ms();
     assert_int_equal(peer_next(&late, &m, 1000), 0);
-    const uint64_t took_ms = now_ms() - from_ms, more = peer_status(&watcher)->loop_turns - turns;
+    const uint64_t took_ms = (uint64_t)daemon_now_ms() - from_ms, more = peer_status(&watcher)->loop_turns - turns;
     print_message("%llu turns of the socket's thread in %llu ms without a descriptor\n", (unsigned long long)more, (unsigned long long)took_ms);
     assert_true(more <= 10 + took_ms / 50); // a loop that spins takes thousands
     frame_is_right(a, false);

@@ -18,7 +18,6 @@
 #include <sys/stat.h>
 #include <sys/un.h>
 #include <sys/wait.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "daemon_fixture.h"
@@ -35,15 +34,6 @@ static struct {
     uint8_t *bytes;
     size_t size;
 } want[WAYS + 1];
-
-static int64_t now_ms(void)
-{
-    struct timespec t;
-    clock_gettime(CLOCK_MONOTONIC, &t);
-    return (int64_t)t.tv_sec * 1000 + t.tv_nsec / 1000000;
-}
-
-static void nap(void) { nanosleep(&(struct timespec){ .tv_nsec = 2000000 }, NULL); }
 
 // ---- a daemon whose words are read -------------------------------------------------------------------
 
@@ -147,8 +137,8 @@ static void fd_close(int fd)
 
 static void held_expect(unsigned n)
 {
-    for (int64_t end = now_ms() + WAIT_MS; atomic_load(&loss->held) != n; nap())
-        if (now_ms() > end)
+    for (int64_t end = daemon_now_ms() + WAIT_MS; atomic_load(&loss->held) != n; daemon_nap())
+        if (daemon_now_ms() > end)
             fail_msg("%u calls stand still; expected %u", atomic_load(&loss->held), n);
 }
 
@@ -250,11 +240,11 @@ static void frames_in_flight(struct airy **a, struct frame *f, struct airy *watc
     for (unsigned i = 0; i < FRAMES; i++)
         f[i] = frame_submit(a[i % CLIENTS], i % WAYS, NULL);
     struct airy_status s;
-    for (int64_t end = now_ms() + WAIT_MS; s = status_of(watcher), s.queued + s.running != FRAMES; nap()) {
+    for (int64_t end = daemon_now_ms() + WAIT_MS; s = status_of(watcher), s.queued + s.running != FRAMES; daemon_nap()) {
         struct airy_error e;
         for (unsigned i = 0; i < CLIENTS; i++)
             assert_int_equal(airy_pump(a[i], &e), 0);
-        if (now_ms() > end)
+        if (daemon_now_ms() > end)
             fail_msg("%u + %u requests are in the daemon; expected %d", s.queued, s.running, FRAMES);
     }
     held_expect(1);
@@ -509,8 +499,8 @@ static void a_hung_driver_is_given_up(void **state)
     atomic_store(&loss->wait_hung, 1);
     struct frame f = frame_submit(a, 1, NULL);
     log_expect("the device did not finish a frame within");
-    for (int64_t end = now_ms() + WAIT_MS; !atomic_load(&notes.triggered); nap())
-        assert_true(now_ms() < end);
+    for (int64_t end = daemon_now_ms() + WAIT_MS; !atomic_load(&notes.triggered); daemon_nap())
+        assert_true(daemon_now_ms() < end);
     log_expect("the watchdog grants 1.0 s: giving up");
     held_expect(1);
     assert_int_equal(status_of(a).running, 1);
@@ -647,8 +637,8 @@ static void the_command_finishes_its_range(void **state)
     const pid_t pid = bloom_begin(&d, folder, "out.####.exr");
     held_expect(1);
     struct airy *a = daemon_join(&d);
-    for (int64_t end = now_ms() + WAIT_MS; status_of(a).queued + status_of(a).running < 2; nap())
-        assert_true(now_ms() < end);
+    for (int64_t end = daemon_now_ms() + WAIT_MS; status_of(a).queued + status_of(a).running < 2; daemon_nap())
+        assert_true(daemon_now_ms() < end);
     airy_close(a);
     faults_come(&loss->submit_lost, FOREVER);
     assert_int_equal(daemon_wait(&d), EXIT_LOST);

@@ -5,11 +5,9 @@
 # has to run here: its own tools take the manager's part, and at the end a script does. Prints TAP.
 set -u
 cd "$(dirname "$0")/.."
-BUILD=${BUILD:-build}
-AIRY=$(realpath "${AIRY:-$BUILD/airy}")
-AIRYD=$(realpath "${AIRYD:-$BUILD/airyd}")
+. tests/programs.sh
 GATE=1.2 # of `systemd-analyze security`; 0 is no exposure, 10 is all
-unset AIRY_SOCKET NOTIFY_SOCKET WATCHDOG_USEC WATCHDOG_PID LISTEN_FDS LISTEN_PID
+unset NOTIFY_SOCKET WATCHDOG_USEC WATCHDOG_PID LISTEN_FDS LISTEN_PID
 
 work=$(mktemp -d "${TMPDIR:-/tmp}/airy-test-XXXXXX")
 started=()
@@ -19,8 +17,8 @@ finish() {
 }
 trap finish EXIT
 
-n=0 failures=0 why=
-check() { # description, command...: one line of TAP
+. tests/tap.sh
+check() { # as tap.sh's, with the daemon's words
     local what=$1
     shift
     n=$((n + 1))
@@ -33,18 +31,6 @@ check() { # description, command...: one line of TAP
         tail -5 "$work/err" "$work/log" 2>/dev/null | sed 's/^/# /'
         failures=$((failures + 1))
     fi
-}
-skip() {
-    n=$((n + 1))
-    echo "ok $n - $1 # SKIP $2"
-}
-wait_for() { # seconds command...
-    local end=$((SECONDS + $1))
-    shift
-    until "$@"; do
-        [ $SECONDS -ge $end ] && return 1
-        sleep 0.05
-    done
 }
 needs() { # program, the tests that are skipped without it
     local program=$1
@@ -246,7 +232,7 @@ if needs python3 "a device that hangs"; then
     if nm -D "$AIRYD" | grep -qE '__(asan|tsan)_'; then
         skip "a device that hangs is given up, and only then" "a sanitizer wants to be the first library"
     else
-        "$BUILD/demo/scene" "$work/in.exr" >/dev/null
+        "$SCENE" "$work/in.exr" >/dev/null
         check "a device that hangs is given up, and only then" t
     fi
 fi
@@ -257,5 +243,4 @@ t() {
 }
 check "WATCHDOG_USEC that is no number" t
 
-echo "1..$n"
-[ $failures -eq 0 ]
+finish_tap
